@@ -1,0 +1,126 @@
+//! `penumbra reference`.
+
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use clap::{Args, ValueEnum};
+use glam::DVec3;
+
+use super::render::ImageOptions;
+use super::report::{Origin, Quantity, finish};
+use super::scene_options::{LoadedScene, SceneOptions};
+use super::{print_warnings, with_bar};
+use crate::image::{Image, read_exr};
+use crate::progress::{Progress, ms_since};
+use crate::receivers::{Receiver, Receivers, UNKNOWN, toward};
+use crate::render;
+use crate::sampling::Pattern;
+use crate::techniques::Technique;
+use crate::techniques::rays::Rays;
+use crate::{Error, Result};
+
+/// Options of `reference`.
+#[derive(Debug, Args)]
+pub struct Arguments {
+    #[command(flatten)]
+    scene: SceneOptions,
+    #[command(flatten)]
+    image: ImageOptions,
+    /// How the reference is found
+    #[arg(long, value_enum, default_value_t = Method::Rays)]
+    method: Method,
+    /// Light samples a receiver
+    #[arg(long, value_name = "N", default_value_t = 4096, value_parser = clap::value_parser!(u32).range(1..=1 << 24))]
+    samples: u32,
+    /// Answers at the position and normal layers of this image instead of a camera's receivers
+    #[arg(long, value_name = "IN.exr", conflicts_with = "aa")]
+    receivers: Option<PathBuf>,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+enum Method {
+    /// Without sampling error (not yet)
+    Exact,
+    /// Owen-scrambled Sobol' samples of the light, a ray each
+    Rays,
+}
+
+/// The reference's own samples: with those of the image it judges in common, it would find the image better than it is.
+const REFERENCE_SEED: u32 = 0x9e37_79b9;
+
+/// Runs the command.
+pub fn run(arguments: &Arguments, progress: &Progress) -> anyhow::Result<()> {
+    let start = Instant::now();
+    arguments.image.check()?;
+    if arguments.method == Method::Exact {
+        return Err(Error::usage("--method exact", "there is no exact reference yet; use --method rays").into());
+    }
+    let technique = Rays { samples: arguments.samples, pattern: Pattern::Sobol, seed: REFERENCE_SEED };
+
+    let mut loaded = arguments.scene.load(arguments.image.load_options())?;
+    let load_ms = ms_since(start);
+    let rendering = match &arguments.receivers {
+        None => {
+            loaded.note_framing();
+            print_warnings(&loaded.scene.warnings);
+            let LoadedScene { scene, camera, .. } = &loaded;
+            let request = arguments.image.request(arguments.scene.size);
+            with_bar("reference", progress, || render::render(scene, camera, &technique, &request, progress))?
+        }
+        Some(path) => {
+            if arguments.image.quantity == Quantity::Shaded {
+                let message = "the image's receivers have no material; use visibility or irradiance";
+                return Err(Error::usage("--receivers", message).into());
+            }
+            let scene = &mut loaded.scene;
+            if scene.lights.iter().any(|light| !light.light_exclude.is_empty()) {
+                let warning = "light_exclude is not applied: an image does not say whose its receivers are";
+                scene.warnings.push(warning.into());
+            }
+            print_warnings(&scene.warnings);
+            let receivers = receivers_of(path, &read_exr(path)?, scene.origin_world)?;
+            let irradiance = arguments.image.quantity == Quantity::Irradiance;
+            let work = || render::render_receivers(scene, receivers, &technique, irradiance, progress);
+            with_bar("reference", progress, work)?
+        }
+    };
+    let origin = Origin { technique: "reference-rays", parameters: technique.parameters() };
+    finish(&arguments.image, &loaded.scene, rendering, origin, start, load_ms)
+}
+
+/// The receivers of an image: its `position` and `normal` layers where `coverage` is 1 (without that layer: where the normal
+/// is not zero).
+fn receivers_of(path: &Path, image: &Image, origin_world: DVec3) -> Result<Receivers> {
+    let layer = |name: &str| {
+        image.xyz(name).ok_or_else(|| Error::Image {
+            path: path.to_path_buf(),
+            message: format!("no layer {name}.X, {name}.Y, {name}.Z; render it with --aov position,normal"),
+        })
+    };
+    let (positions, normals) = (layer("position")?, layer("normal")?);
+    let shading_normals = image.xyz("shading_normal");
+    let coverage = image.channel("coverage.A");
+    let depths = image.channel("depth.Z");
+    let pixel = |i: usize| {
+        let vector = |layer: [&[f32]; 3]| DVec3::new(layer[0][i].into(), layer[1][i].into(), layer[2][i].into());
+        let normal = vector(normals).try_normalize();
+        let position_world = vector(positions);
+        if coverage.is_some_and(|coverage| coverage[i] < 1.0) || !position_world.is_finite() {
+            return None;
+        }
+        let normal = normal?;
+        let shading_normal = shading_normals.and_then(|layer| vector(layer).try_normalize()).unwrap_or(normal);
+        Some(Receiver {
+            position: position_world - origin_world,
+            // A float's own rounding.
+            position_error: f64::from(f32::EPSILON) * position_world.abs().max_element(),
+            normal,
+            shading_normal: toward(shading_normal, normal),
+            depth: depths.map_or(0.0, |depth| depth[i].into()),
+            instance: UNKNOWN,
+            triangle: UNKNOWN,
+            barycentric: [0.0; 2],
+        })
+    };
+    Ok(Receivers { size: image.size, pixels: (0..image.pixel_count()).map(pixel).collect() })
+}

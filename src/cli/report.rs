@@ -1,0 +1,282 @@
+//! What `render` and `reference` write and print: the image, its header, the JSON record.
+
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use clap::ValueEnum;
+use glam::DVec3;
+use serde::Serialize;
+use serde_json::Value;
+
+use super::print_json;
+use super::render::ImageOptions;
+use crate::image::{Image, png_paths, write_exr, write_png, write_pngs};
+use crate::progress::ms_since;
+use crate::receivers::{Receiver, Receivers};
+use crate::render::{Counters, Rendering};
+use crate::scene::Scene;
+use crate::techniques::Pass;
+use crate::{Error, Result};
+
+/// What the image is to show.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+pub enum Quantity {
+    /// Fraction of the light's area that is seen, at pixel centres
+    Visibility,
+    /// W/m² on the surface
+    Irradiance,
+    /// Lambertian surfaces with their base colour
+    Shaded,
+}
+
+/// Extra layers of an EXR file.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
+#[value(rename_all = "snake_case")]
+pub enum Aov {
+    /// World position, m
+    Position,
+    /// World geometric normal
+    Normal,
+    /// World interpolated normal
+    ShadingNormal,
+    /// Along the view axis, m
+    Depth,
+    /// 1 where a receiver was hit (always written)
+    Coverage,
+}
+
+/// What made an image, for its header and the JSON record.
+#[derive(Debug)]
+pub struct Origin<'a> {
+    /// Technique or reference method.
+    pub technique: &'a str,
+    /// Its parameters.
+    pub parameters: Value,
+}
+
+/// The name of what computes: constant from run to run.
+pub const CPU_ADAPTER: &str = "CPU";
+
+/// The rendering as an image with named channels; takes the pixels out of it.
+pub fn image_of(scene: &Scene, rendering: &mut Rendering, origin: &Origin, quantity: Quantity, aovs: &[Aov]) -> Image {
+    let receivers = &rendering.receivers;
+    let mut image = Image::new(receivers.size);
+    for (light, seen) in scene.lights.iter().zip(&mut rendering.lights) {
+        image.add(format!("{}.visibility", light.name), std::mem::take(&mut seen.visibility));
+        let facing = seen.facing.iter().zip(&receivers.pixels);
+        // Where nothing was hit there is nothing to turn away either.
+        let facing = facing.map(|(&facing, pixel)| if facing || pixel.is_none() { 1.0 } else { 0.0 }).collect();
+        image.add(format!("{}.facing", light.name), facing);
+        if quantity == Quantity::Irradiance {
+            add_rgb(&mut image, &format!("{}.irradiance", light.name), &seen.irradiance);
+        }
+    }
+    if quantity == Quantity::Shaded {
+        add_rgb(&mut image, "shaded", &rendering.shaded);
+    }
+    add_aovs(&mut image, scene.origin_world, receivers, aovs);
+    let attributes = [
+        ("version", env!("CARGO_PKG_VERSION").to_owned()),
+        ("technique", origin.technique.to_owned()),
+        ("parameters", origin.parameters.to_string()),
+        ("adapter", CPU_ADAPTER.to_owned()),
+        ("scene", scene.name.clone()),
+    ];
+    image.attributes.extend(attributes.map(|(name, value)| (format!("penumbra:{name}"), value)));
+    image
+}
+
+fn add_rgb(image: &mut Image, layer: &str, values: &[[f32; 3]]) {
+    for (channel, name) in ["R", "G", "B"].iter().enumerate() {
+        image.add(format!("{layer}.{name}"), values.iter().map(|rgb| rgb[channel]).collect());
+    }
+}
+
+fn add_aovs(image: &mut Image, origin_world: DVec3, receivers: &Receivers, aovs: &[Aov]) {
+    let mut add_vector = |layer: &str, value: &dyn Fn(&Receiver) -> DVec3| {
+        for (axis, name) in ["X", "Y", "Z"].iter().enumerate() {
+            let samples = receivers.pixels.iter().map(|pixel| pixel.as_ref().map_or(0.0, |r| value(r)[axis] as f32));
+            image.add(format!("{layer}.{name}"), samples.collect());
+        }
+    };
+    if aovs.contains(&Aov::Position) {
+        add_vector("position", &|receiver| receiver.position + origin_world);
+    }
+    if aovs.contains(&Aov::Normal) {
+        add_vector("normal", &|receiver| receiver.normal);
+    }
+    if aovs.contains(&Aov::ShadingNormal) {
+        add_vector("shading_normal", &|receiver| receiver.shading_normal);
+    }
+    let pixels = receivers.pixels.iter();
+    if aovs.contains(&Aov::Depth) {
+        let depth = pixels.clone().map(|pixel| pixel.as_ref().map_or(0.0, |receiver| receiver.depth as f32));
+        image.add("depth.Z", depth.collect());
+    }
+    image.add("coverage.A", pixels.map(|pixel| if pixel.is_some() { 1.0 } else { 0.0 }).collect());
+}
+
+/// Whether an output path asks for PNG rather than EXR.
+///
+/// # Errors
+/// Another extension.
+pub fn is_png(path: &Path) -> Result<bool> {
+    match path.extension().and_then(|extension| extension.to_str()).map(str::to_lowercase).as_deref() {
+        Some("exr") => Ok(false),
+        Some("png") => Ok(true),
+        _ => Err(Error::usage(format!("-o {}", path.display()), "expected a name that ends in .exr or .png")),
+    }
+}
+
+/// Writes an image as its path's extension asks; returns the files written.
+pub fn write(path: &Path, image: &Image, quantity: Quantity) -> Result<Vec<PathBuf>> {
+    if !is_png(path)? {
+        write_exr(path, image)?;
+        return Ok(vec![path.to_path_buf()]);
+    }
+    if quantity == Quantity::Shaded {
+        let picture = image.rgb_png("shaded").expect("a shaded rendering has that layer");
+        write_png(path, picture)?;
+        return Ok(vec![path.to_path_buf()]);
+    }
+    let lights = image.light_names();
+    let paths = png_paths(path, &lights);
+    let picture = |light: &String| image.visibility_png(light).expect("every light has visibility");
+    write_pngs(paths.iter().zip(lights.iter().map(picture)))?;
+    Ok(paths)
+}
+
+/// Writes what was rendered and prints the record that was asked for.
+pub fn finish(
+    options: &ImageOptions,
+    scene: &Scene,
+    mut rendering: Rendering,
+    origin: Origin,
+    start: Instant,
+    load_ms: f64,
+) -> anyhow::Result<()> {
+    let write_start = Instant::now();
+    let image = image_of(scene, &mut rendering, &origin, options.quantity, &options.aov);
+    let outputs = write(&options.output, &image, options.quantity)?;
+    if options.json {
+        let time_ms = TimeRecord {
+            load: load_ms,
+            build: rendering.build_ms,
+            render: rendering.render_ms,
+            write: ms_since(write_start),
+            total: ms_since(start),
+        };
+        print_json(&Record::new(scene, &rendering, origin, &outputs, time_ms))?;
+    }
+    Ok(())
+}
+
+/// The record that `--json` prints.
+#[derive(Debug, Serialize)]
+pub struct Record {
+    output: String,
+    outputs: Vec<String>,
+    scene: SceneRecord,
+    size: [u32; 2],
+    technique: String,
+    parameters: Value,
+    adapter: AdapterRecord,
+    lights: Vec<LightRecord>,
+    time_ms: TimeRecord,
+    memory_mb: MemoryRecord,
+    counters: Counters,
+    warnings: Vec<String>,
+}
+
+#[derive(Debug, Serialize)]
+struct SceneRecord {
+    path: String,
+    triangles: u64,
+    instances: usize,
+    lights: usize,
+}
+
+#[derive(Debug, Serialize)]
+struct AdapterRecord {
+    name: &'static str,
+    backend: &'static str,
+    software: bool,
+}
+
+#[derive(Debug, Serialize)]
+struct LightRecord {
+    name: String,
+    samples: u32,
+    rays: u64,
+    time_ms: LightTimeRecord,
+}
+
+#[derive(Debug, Serialize)]
+struct LightTimeRecord {
+    total: f64,
+    passes: Vec<Pass>,
+}
+
+/// Wall times of a run.
+#[derive(Debug, Default, Clone, Copy, Serialize)]
+pub struct TimeRecord {
+    /// Reading the scene.
+    pub load: f64,
+    /// Hierarchies and receivers.
+    pub build: f64,
+    /// The technique.
+    pub render: f64,
+    /// Writing the output.
+    pub write: f64,
+    /// All of it.
+    pub total: f64,
+}
+
+#[derive(Debug, Serialize)]
+struct MemoryRecord {
+    peak_rss: Option<f64>,
+    gpu: f64,
+}
+
+impl Record {
+    /// The record of a finished run.
+    pub fn new(scene: &Scene, rendering: &Rendering, origin: Origin, outputs: &[PathBuf], time_ms: TimeRecord) -> Self {
+        let outputs: Vec<String> = outputs.iter().map(|path| path.display().to_string()).collect();
+        let lights = scene.lights.iter().zip(&rendering.lights).map(|(light, image)| LightRecord {
+            name: light.name.clone(),
+            samples: image.samples,
+            rays: image.rays,
+            time_ms: LightTimeRecord {
+                total: image.passes.iter().map(|pass| pass.ms).sum(),
+                passes: image.passes.clone(),
+            },
+        });
+        Self {
+            output: outputs.first().cloned().unwrap_or_default(),
+            outputs,
+            scene: SceneRecord {
+                path: scene.name.clone(),
+                triangles: scene.triangle_count(),
+                instances: scene.instances.len(),
+                lights: scene.lights.len(),
+            },
+            size: rendering.receivers.size,
+            technique: origin.technique.to_owned(),
+            parameters: origin.parameters,
+            adapter: AdapterRecord { name: CPU_ADAPTER, backend: "cpu", software: true },
+            lights: lights.collect(),
+            time_ms,
+            memory_mb: MemoryRecord { peak_rss: peak_rss_mb(), gpu: 0.0 },
+            counters: rendering.counters,
+            warnings: scene.warnings.clone(),
+        }
+    }
+}
+
+/// The largest resident size of this process so far, MB, where the system tells (Linux).
+pub fn peak_rss_mb() -> Option<f64> {
+    let status = std::fs::read_to_string("/proc/self/status").ok()?;
+    let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"))?;
+    let kibibytes: f64 = line.trim().strip_suffix("kB")?.trim().parse().ok()?;
+    Some(kibibytes * 1024.0 / 1e6)
+}

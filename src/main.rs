@@ -1,0 +1,7 @@
+//! The `penumbra` command.
+
+use std::process::ExitCode;
+
+fn main() -> ExitCode {
+    penumbra::cli::main()
+}

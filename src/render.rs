@@ -1,0 +1,310 @@
+//! From a scene and a camera to images: receivers, the hierarchy that they need, a technique for each light.
+
+use std::time::Instant;
+
+use glam::{DVec2, Vec3};
+use rayon::prelude::*;
+
+use crate::geometry::bvh::{SceneBvh, is_out_of_view};
+use crate::geometry::shaft::{Shaft, light_bounds};
+use crate::progress::{Progress, ms_since};
+use crate::receivers::{Receiver, Receivers};
+use crate::scene::{AreaLight, Bounds, Camera, Scene, Shape};
+use crate::techniques::{Frame, LightImage, Technique};
+use crate::{Error, Result};
+
+/// What is asked for.
+#[derive(Debug, Clone)]
+pub struct Request {
+    /// Width and height, pixels.
+    pub size: [u32; 2],
+    /// Irradiance beside visibility.
+    pub irradiance: bool,
+    /// The Lambertian image, which needs irradiance.
+    pub shaded: bool,
+    /// Sub-pixels a side for irradiance and the shaded image; visibility is always that of the pixel's centre.
+    pub antialiasing: u32,
+}
+
+/// What was done and what was not needed: what a scene lacks costs nothing, and this is how that is checked.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, serde::Serialize)]
+pub struct Counters {
+    /// Triangles put into hierarchies; those neither seen nor able to block a light are not.
+    pub stored_triangles: u64,
+    /// Bytes of the hierarchies.
+    pub hierarchy_bytes: u64,
+    /// Occlusion rays traced.
+    pub rays: u64,
+    /// Lights that took a pass.
+    pub lights_traced: u32,
+    /// Lights that reach no receiver and took none.
+    pub lights_skipped: u32,
+}
+
+/// A finished image.
+#[derive(Debug, Clone)]
+pub struct Rendering {
+    /// The receivers at pixel centres.
+    pub receivers: Receivers,
+    /// One for each of the scene's lights.
+    pub lights: Vec<LightImage>,
+    /// Lambertian radiance, W/(m²·sr), RGB; empty unless asked for.
+    pub shaded: Vec<[f32; 3]>,
+    /// What it took.
+    pub counters: Counters,
+    /// Building receivers and hierarchies, ms.
+    pub build_ms: f64,
+    /// The technique, ms.
+    pub render_ms: f64,
+}
+
+/// Renders the scene's lights from a camera.
+///
+/// # Errors
+/// [`Error::NoLight`] without a light; [`Error::Cancelled`]; what the technique can't do.
+pub fn render(
+    scene: &Scene,
+    camera: &Camera,
+    technique: &dyn Technique,
+    request: &Request,
+    progress: &Progress,
+) -> Result<Rendering> {
+    if scene.lights.is_empty() {
+        return Err(no_light(scene));
+    }
+    check_memory(scene, u64::from(request.size[0]) * u64::from(request.size[1]))?;
+    let passes = if request.irradiance || request.shaded { request.antialiasing.pow(2) } else { 0 };
+    let rows = u64::from(request.size[1]);
+    progress.begin(rows * u64::from(1 + passes) * (1 + scene.lights.len() as u64));
+
+    let mut view = View::new(scene, camera, request.size);
+    let receivers = view.receivers(DVec2::splat(0.5), progress)?;
+    // With one receiver a pixel, the centre serves both quantities.
+    let at_centers = passes <= 1;
+    let mut lights = view.lights(&receivers, technique, at_centers && passes == 1, progress)?;
+    let mut shaded = if request.shaded { vec![[0.0; 3]; receivers.pixels.len()] } else { Vec::new() };
+    if at_centers {
+        if request.shaded {
+            add_shaded(&mut shaded, scene, &receivers, &lights, 1.0);
+        }
+    } else {
+        let n = request.antialiasing;
+        let share = 1.0 / f64::from(passes);
+        let mut sums = vec![vec![[0f64; 3]; receivers.pixels.len()]; scene.lights.len()];
+        let mut shaded_sum = vec![[0f64; 3]; shaded.len()];
+        for i in 0..passes {
+            let offset = DVec2::new(f64::from(i % n) + 0.5, f64::from(i / n) + 0.5) / f64::from(n);
+            let receivers = view.receivers(offset, progress)?;
+            let lights = view.lights(&receivers, technique, true, progress)?;
+            for (sum, light) in sums.iter_mut().zip(&lights) {
+                accumulate(sum, &light.irradiance, share);
+            }
+            if request.shaded {
+                let mut pass = vec![[0.0; 3]; shaded.len()];
+                add_shaded(&mut pass, scene, &receivers, &lights, 1.0);
+                accumulate(&mut shaded_sum, &pass, share);
+            }
+        }
+        for (light, sum) in lights.iter_mut().zip(sums) {
+            // Irradiance is a surface's: a pixel whose centre has none holds none, whatever its corners hold.
+            let covered = sum.into_iter().zip(&receivers.pixels);
+            light.irradiance =
+                covered.map(|(rgb, pixel)| if pixel.is_some() { rgb.map(|x| x as f32) } else { [0.0; 3] }).collect();
+        }
+        shaded = shaded_sum.into_iter().map(|rgb| rgb.map(|x| x as f32)).collect();
+    }
+    view.counters.stored_triangles = view.bvh.stored_triangles;
+    view.counters.hierarchy_bytes = view.bvh.bytes() as u64;
+    let View { counters, build_ms, render_ms, .. } = view;
+    Ok(Rendering { receivers, lights, shaded, counters, build_ms, render_ms })
+}
+
+/// Evaluates the scene's lights at given receivers.
+///
+/// # Errors
+/// As [`render`].
+pub fn render_receivers(
+    scene: &Scene,
+    receivers: Receivers,
+    technique: &dyn Technique,
+    irradiance: bool,
+    progress: &Progress,
+) -> Result<Rendering> {
+    if scene.lights.is_empty() {
+        return Err(no_light(scene));
+    }
+    check_memory(scene, receivers.pixels.len() as u64)?;
+    progress.begin(u64::from(receivers.size[1]) * scene.lights.len() as u64);
+    let mut view = View::without_camera(scene);
+    let lights = view.lights(&receivers, technique, irradiance, progress)?;
+    view.counters.stored_triangles = view.bvh.stored_triangles;
+    view.counters.hierarchy_bytes = view.bvh.bytes() as u64;
+    let View { counters, build_ms, render_ms, .. } = view;
+    Ok(Rendering { receivers, lights, shaded: Vec::new(), counters, build_ms, render_ms })
+}
+
+/// Most values of visibility, lights times pixels: with irradiance they take some 4 GB.
+const MAX_VALUES: u64 = 1 << 27;
+
+/// Refuses what would not fit, before anything is computed.
+fn check_memory(scene: &Scene, pixels: u64) -> Result<()> {
+    let lights = scene.lights.len() as u64;
+    if lights.saturating_mul(pixels) <= MAX_VALUES {
+        return Ok(());
+    }
+    let message = format!(
+        "{lights} lights at {pixels} pixels are more than {MAX_VALUES} values; name fewer lights (--light) or take a smaller \
+         --size"
+    );
+    Err(Error::usage(scene.name.clone(), message))
+}
+
+/// The error for a scene without light.
+fn no_light(scene: &Scene) -> Error {
+    let found = format!(
+        "{} triangles, {} instances, {} cameras",
+        scene.triangle_count(),
+        scene.instances.len(),
+        scene.cameras.len()
+    );
+    Error::NoLight { scene: scene.name.clone(), found }
+}
+
+/// A scene with the hierarchy that its view needs so far.
+struct View<'a> {
+    scene: &'a Scene,
+    camera: Option<(&'a Camera, [u32; 2])>,
+    bvh: SceneBvh<'a>,
+    counters: Counters,
+    build_ms: f64,
+    render_ms: f64,
+}
+
+impl<'a> View<'a> {
+    fn new(scene: &'a Scene, camera: &'a Camera, size: [u32; 2]) -> Self {
+        let start = Instant::now();
+        let mut view = Self { camera: Some((camera, size)), ..Self::without_camera(scene) };
+        let bounds: Vec<Bounds> = (0..scene.instances.len()).map(|i| view.bvh.instance_bounds(i)).collect();
+        view.bvh.add(|i| !is_out_of_view(&bounds[i], camera, size));
+        view.build_ms = ms_since(start);
+        view
+    }
+
+    fn without_camera(scene: &'a Scene) -> Self {
+        let bvh = SceneBvh::new(scene);
+        Self { scene, camera: None, bvh, counters: Counters::default(), build_ms: 0.0, render_ms: 0.0 }
+    }
+
+    fn receivers(&mut self, offset_px: DVec2, progress: &Progress) -> Result<Receivers> {
+        let start = Instant::now();
+        let (camera, size) = self.camera.expect("receivers come from a camera");
+        let receivers = Receivers::find(&self.bvh, camera, size, offset_px, progress)?;
+        self.build_ms += ms_since(start);
+        Ok(receivers)
+    }
+
+    fn lights(
+        &mut self,
+        receivers: &Receivers,
+        technique: &dyn Technique,
+        irradiance: bool,
+        progress: &Progress,
+    ) -> Result<Vec<LightImage>> {
+        let receiver_bounds = receivers.bounds();
+        let reaching: Vec<bool> = self.scene.lights.iter().map(|light| reaches_any(light, &receiver_bounds)).collect();
+        self.add_blockers(&reaching, &receiver_bounds);
+        let mut images = Vec::with_capacity(reaching.len());
+        for (light, reaches) in self.scene.lights.iter().zip(reaching) {
+            if !reaches {
+                self.counters.lights_skipped += 1;
+                progress.advance(u64::from(receivers.size[1]))?;
+                images.push(unlit(receivers, irradiance));
+                continue;
+            }
+            let start = Instant::now();
+            let frame = Frame { scene: self.scene, bvh: &self.bvh, receivers, irradiance, progress };
+            let image = technique.render(&frame, light)?;
+            self.render_ms += ms_since(start);
+            self.counters.lights_traced += 1;
+            self.counters.rays += image.rays;
+            images.push(image);
+        }
+        Ok(images)
+    }
+
+    /// Adds what lies between the receivers and the lights that reach them.
+    fn add_blockers(&mut self, reaching: &[bool], receiver_bounds: &Bounds) {
+        let start = Instant::now();
+        let bounds: Vec<Bounds> = (0..self.scene.instances.len()).map(|i| self.bvh.instance_bounds(i)).collect();
+        let scene_bounds = bounds.iter().copied().fold(Bounds::EMPTY, Bounds::union);
+        let shafts: Vec<Shaft> = self
+            .scene
+            .lights
+            .iter()
+            .zip(reaching)
+            .filter(|(light, reaches)| **reaches && light.casts_shadow)
+            .map(|(light, _)| Shaft::between(receiver_bounds, &light_bounds(light, receiver_bounds, &scene_bounds)))
+            .collect();
+        self.bvh.add(|i| shafts.iter().any(|shaft| !shaft.excludes(&bounds[i])));
+        self.build_ms += ms_since(start);
+    }
+}
+
+/// Whether some receiver may lie on the emitting side of a light.
+fn reaches_any(light: &AreaLight, receivers: &Bounds) -> bool {
+    if receivers.is_empty() {
+        return false;
+    }
+    match light.shape {
+        Shape::Rect { .. } | Shape::Disk { .. } => {
+            let center = light.scene_from_light.translation;
+            receivers.corners().iter().any(|corner| light.axis().dot(*corner - center) > 0.0)
+        }
+        Shape::Sphere { .. } | Shape::Tube { .. } | Shape::Sun { .. } | Shape::Point => true,
+    }
+}
+
+/// What a light that reaches no receiver leaves.
+fn unlit(receivers: &Receivers, irradiance: bool) -> LightImage {
+    let pixels = &receivers.pixels;
+    LightImage {
+        visibility: pixels.iter().map(|pixel| if pixel.is_some() { 0.0 } else { 1.0 }).collect(),
+        irradiance: if irradiance { vec![[0.0; 3]; pixels.len()] } else { Vec::new() },
+        facing: vec![false; pixels.len()],
+        ..LightImage::default()
+    }
+}
+
+fn accumulate(sum: &mut [[f64; 3]], values: &[[f32; 3]], share: f64) {
+    for (sum, value) in sum.iter_mut().zip(values) {
+        for channel in 0..3 {
+            sum[channel] += share * f64::from(value[channel]);
+        }
+    }
+}
+
+/// Adds Lambertian radiance: base colour / π times the lights' irradiance.
+fn add_shaded(shaded: &mut [[f32; 3]], scene: &Scene, receivers: &Receivers, lights: &[LightImage], share: f32) {
+    shaded.par_iter_mut().enumerate().for_each(|(i, shaded)| {
+        let Some(receiver) = &receivers.pixels[i] else { return };
+        let mut irradiance = Vec3::ZERO;
+        for light in lights {
+            irradiance += Vec3::from(light.irradiance[i]);
+        }
+        let radiance = base_color(scene, receiver) * irradiance * (share * std::f32::consts::FRAC_1_PI);
+        *shaded = (Vec3::from(*shaded) + radiance).to_array();
+    });
+}
+
+/// Linear base colour at a receiver.
+fn base_color(scene: &Scene, receiver: &Receiver) -> Vec3 {
+    let mesh = &scene.meshes[scene.instances[receiver.instance as usize].mesh];
+    let Some(material) = mesh.material.map(|index| &scene.materials[index]) else { return Vec3::ONE };
+    match &material.base_color_texture {
+        None => material.base_color,
+        Some(texture) => {
+            let uv = mesh.uv_at(receiver.triangle as usize, receiver.barycentric.map(f64::from));
+            material.base_color * Vec3::from(texture.sample(uv))
+        }
+    }
+}

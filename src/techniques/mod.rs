@@ -1,0 +1,222 @@
+//! The techniques: everything that estimates visibility, behind one trait, in one table.
+//!
+//! A technique is one file with an [`Entry`] in it; the command line, the demo and the tests iterate [`ALL`].
+
+pub mod rays;
+
+use std::time::Instant;
+
+use schemars::{JsonSchema, SchemaGenerator};
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+use serde_json::{Map, Value};
+
+use crate::geometry::bvh::SceneBvh;
+use crate::progress::{Progress, ms_since};
+use crate::receivers::Receivers;
+use crate::scene::{AreaLight, Scene};
+use crate::{Error, Result};
+
+/// All techniques, in the order in which they are shown.
+pub const ALL: &[Entry] = &[rays::ENTRY];
+
+/// A technique's place in the registry.
+#[derive(Debug)]
+pub struct Entry {
+    /// Name on the command line and in reports; the file's stem.
+    pub name: &'static str,
+    /// Where it comes from.
+    pub paper: &'static str,
+    /// One line on what it does.
+    pub summary: &'static str,
+    /// What it runs on.
+    pub needs: Needs,
+    /// JSON schema of its parameters: defaults, ranges and meanings come from here alone.
+    pub schema: fn() -> Value,
+    /// Settings that `demo` shows, each as [`parse_settings`] reads it.
+    pub demo: &'static [&'static str],
+    /// Makes it with the given parameters, checked against the schema.
+    pub build: fn(&Parameters) -> Result<Box<dyn Technique>>,
+}
+
+/// What a technique runs on.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Needs {
+    /// The processor.
+    Cpu,
+}
+
+/// Parameters by name, as given by `--set` and `--config`.
+pub type Parameters = Map<String, Value>;
+
+/// What a technique works on.
+#[derive(Debug, Clone, Copy)]
+pub struct Frame<'a> {
+    /// The scene.
+    pub scene: &'a Scene,
+    /// Hierarchy over all that can block the light.
+    pub bvh: &'a SceneBvh<'a>,
+    /// Where visibility is asked for.
+    pub receivers: &'a Receivers,
+    /// Whether irradiance is asked for beside visibility.
+    pub irradiance: bool,
+    /// Progress, in image rows, and cancellation.
+    pub progress: &'a Progress,
+}
+
+/// What a technique finds out about one light, a value a pixel; pixels without receiver hold V = 1 and E = 0.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct LightImage {
+    /// V, in [0, 1].
+    pub visibility: Vec<f32>,
+    /// E, W/m², RGB; empty unless asked for.
+    pub irradiance: Vec<[f32; 3]>,
+    /// Whether some of the light lies above the receiver's tangent plane and emits towards it. Where not, V is 0 and the pixel
+    /// is in no mask.
+    pub facing: Vec<bool>,
+    /// Light samples a receiver.
+    pub samples: u32,
+    /// Occlusion rays traced.
+    pub rays: u64,
+    /// Time of each pass.
+    pub passes: Vec<Pass>,
+}
+
+/// Time of one pass of a technique.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Pass {
+    /// What it does.
+    pub name: &'static str,
+    /// Wall time, ms.
+    pub ms: f64,
+}
+
+/// Anything that estimates the visibility of a light from receivers.
+pub trait Technique: Send + Sync {
+    /// The estimate for one light.
+    ///
+    /// # Errors
+    /// [`Error::Cancelled`] when the user asks to stop; else what the technique can't do with this light or scene.
+    fn render(&self, frame: &Frame, light: &AreaLight) -> Result<LightImage>;
+
+    /// The parameters in force, defaults included.
+    fn parameters(&self) -> Value;
+}
+
+impl Entry {
+    /// The entry of a name.
+    ///
+    /// # Errors
+    /// One line that lists the names there are.
+    pub fn find(name: &str) -> Result<&'static Self> {
+        ALL.iter().find(|entry| entry.name == name).ok_or_else(|| {
+            let names: Vec<_> = ALL.iter().map(|entry| entry.name).collect();
+            Error::usage(format!("technique {name:?}"), format!("unknown; there is {}", names.join(", ")))
+        })
+    }
+
+    /// Its parameters, in the order of its source.
+    pub fn parameters(&self) -> Vec<Parameter> {
+        let schema = (self.schema)();
+        let properties = schema["properties"].as_object().cloned().unwrap_or_default();
+        properties.into_iter().map(|(name, property)| Parameter::from_schema(name, &property, &schema)).collect()
+    }
+}
+
+/// A parameter as `penumbra list` shows it.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Parameter {
+    /// Its key for `--set`.
+    pub name: String,
+    /// What it means.
+    pub meaning: String,
+    /// Value when not set.
+    pub default: Value,
+    /// Smallest value, for a number.
+    pub minimum: Option<f64>,
+    /// Largest value, for a number.
+    pub maximum: Option<f64>,
+    /// The values there are, for a choice, each with its meaning.
+    pub choices: Vec<(String, String)>,
+}
+
+impl Parameter {
+    fn from_schema(name: String, property: &Value, schema: &Value) -> Self {
+        let text = |value: &Value| value["description"].as_str().unwrap_or_default().replace('\n', " ");
+        let definition =
+            property["$ref"].as_str().and_then(|reference| schema.pointer(reference.trim_start_matches('#')));
+        let choices =
+            definition.and_then(|definition| definition["oneOf"].as_array()).map_or_else(Vec::new, |variants| {
+                variants
+                    .iter()
+                    .map(|variant| (variant["const"].as_str().unwrap_or_default().to_owned(), text(variant)))
+                    .collect()
+            });
+        Self {
+            name,
+            meaning: text(property),
+            default: property["default"].clone(),
+            minimum: property["minimum"].as_f64(),
+            maximum: property["maximum"].as_f64(),
+            choices,
+        }
+    }
+}
+
+/// The schema of a technique's parameters.
+pub fn schema_of<T: JsonSchema>() -> Value {
+    SchemaGenerator::default().into_root_schema_for::<T>().to_value()
+}
+
+/// Reads a technique's parameters: unknown names, wrong types and values out of range are errors.
+pub fn parse_parameters<T: JsonSchema + DeserializeOwned>(entry: &Entry, given: &Parameters) -> Result<T> {
+    let known = entry.parameters();
+    for (key, value) in given {
+        let what = format!("parameter {key} of {}", entry.name);
+        let Some(parameter) = known.iter().find(|parameter| parameter.name == *key) else {
+            let names: Vec<_> = known.iter().map(|parameter| parameter.name.as_str()).collect();
+            return Err(Error::usage(what, format!("unknown; there is {}", names.join(", "))));
+        };
+        if let Some(number) = value.as_f64() {
+            let minimum = parameter.minimum.unwrap_or(f64::NEG_INFINITY);
+            let maximum = parameter.maximum.unwrap_or(f64::INFINITY);
+            if !(minimum..=maximum).contains(&number) {
+                return Err(Error::usage(what, format!("expected {minimum} to {maximum}, found {number}")));
+            }
+        }
+        let is_choice = |(choice, _): &(String, String)| value.as_str() == Some(choice);
+        if !parameter.choices.is_empty() && !parameter.choices.iter().any(is_choice) {
+            let names: Vec<_> = parameter.choices.iter().map(|(choice, _)| choice.as_str()).collect();
+            return Err(Error::usage(what, format!("expected one of {}, found {value}", names.join(", "))));
+        }
+    }
+    serde_path_to_error::deserialize(Value::Object(given.clone())).map_err(|error| {
+        Error::usage(format!("parameter {} of {}", error.path(), entry.name), error.inner().to_string())
+    })
+}
+
+/// Reads settings, `key=value` separated by spaces.
+pub fn parse_settings(text: &str) -> Result<Parameters> {
+    text.split_whitespace().map(parse_setting).collect()
+}
+
+/// Reads one `key=value`: a number (1e3 is a whole one), true or false where it reads as one, else text.
+pub fn parse_setting(text: &str) -> Result<(String, Value)> {
+    let Some((key, value)) = text.split_once('=') else {
+        return Err(Error::usage(text, "expected KEY=VALUE"));
+    };
+    let value: Value = serde_json::from_str(value).unwrap_or_else(|_| Value::String(value.to_owned()));
+    // Exact as a whole number up to 2^53.
+    let whole = value.as_f64().filter(|number| value.is_f64() && number.fract() == 0.0 && number.abs() < 2f64.powi(53));
+    let value = whole.map_or(value, |number| Value::from(number as i64));
+    Ok((key.to_owned(), value))
+}
+
+/// Runs a pass and notes how long it took.
+pub fn timed<T>(passes: &mut Vec<Pass>, name: &'static str, pass: impl FnOnce() -> T) -> T {
+    let start = Instant::now();
+    let result = pass();
+    passes.push(Pass { name, ms: ms_since(start) });
+    result
+}
