@@ -26,7 +26,8 @@ use crate::{Error, Result};
 
 /// What a light's layer can hold: visibility; irradiance, W/m²; and `facing`, 1 where some of the light lies above the
 /// receiver's tangent plane and on its emitting side, else 0 (absent: 1 everywhere).
-pub const LIGHT_SUFFIXES: [&str; 5] = [".visibility", ".facing", ".irradiance.R", ".irradiance.G", ".irradiance.B"];
+pub const LIGHT_SUFFIXES: [&str; 7] =
+    [".visibility", ".facing", ".sampled", ".irradiance.R", ".irradiance.G", ".irradiance.B", ".irradiance_ratio"];
 
 /// Most samples (pixels × channels) that are read from a file: 1 GiB of floats.
 pub const MAX_SAMPLES: u64 = 1 << 28;
@@ -98,6 +99,16 @@ impl Image {
     /// 1 where some of the light lies above the receiver's tangent plane and on its emitting side, else 0.
     pub fn facing(&self, light: &str) -> Option<&[f32]> {
         self.channel(&format!("{light}.facing"))
+    }
+
+    /// 1 where the light's exact answer had to be sampled, else 0.
+    pub fn sampled(&self, light: &str) -> Option<&[f32]> {
+        self.channel(&format!("{light}.sampled"))
+    }
+
+    /// Share of the unshadowed irradiance that is left, E/E₀: what a renderer shows, where V is a share of area.
+    pub fn irradiance_ratio(&self, light: &str) -> Option<&[f32]> {
+        self.channel(&format!("{light}.irradiance_ratio"))
     }
 
     /// Irradiance from the light, W/m².

@@ -2,7 +2,7 @@
 //!
 //! The flow is one straight line: a [`scene::Scene`] is loaded, [`receivers::Receivers`] are found per pixel, a technique
 //! estimates the visibility of each light from them, and an [`image::Image`] with named channels is written and measured
-//! against another by [`metrics`].
+//! against another by [`metrics`]. The one that everything else is judged by comes from [`mod@reference`].
 //!
 //! The one quantity that every technique estimates is **visibility** V: the fraction of the light's area seen from a receiver,
 //! 0 in the umbra, 1 when lit. Irradiance E (cosine- and distance-weighted, W/m²) is a second quantity with its own name.
@@ -19,6 +19,7 @@ pub mod output;
 pub mod picture;
 pub mod progress;
 pub mod receivers;
+pub mod reference;
 pub mod render;
 pub mod sampling;
 pub mod scene;

@@ -9,6 +9,7 @@ use crate::geometry::bvh::{SceneBvh, is_out_of_view};
 use crate::geometry::shaft::{Shaft, light_bounds};
 use crate::progress::{Progress, ms_since};
 use crate::receivers::{Receiver, Receivers};
+use crate::reference::verify::{self, Verified};
 use crate::scene::{AreaLight, Bounds, Camera, Scene, Shape};
 use crate::techniques::{Frame, LightImage, Technique};
 use crate::{Error, Result};
@@ -24,6 +25,8 @@ pub struct Request {
     pub shaded: bool,
     /// Sub-pixels a side for irradiance and the shaded image; visibility is always that of the pixel's centre.
     pub antialiasing: u32,
+    /// Receivers at which each light's visibility is held against the exact answer; none to leave it.
+    pub verify: Option<u32>,
 }
 
 /// What was done and what was not needed: what a scene lacks costs nothing, and this is how that is checked.
@@ -50,12 +53,16 @@ pub struct Rendering {
     pub lights: Vec<LightImage>,
     /// Lambertian radiance, W/(m²·sr), RGB; empty unless asked for.
     pub shaded: Vec<[f32; 3]>,
+    /// The measured error of each light; empty unless asked for.
+    pub verified: Vec<Verified>,
     /// What it took.
     pub counters: Counters,
     /// Building receivers and hierarchies, ms.
     pub build_ms: f64,
     /// The technique, ms.
     pub render_ms: f64,
+    /// The exact answers that the image was held against, ms.
+    pub verify_ms: f64,
 }
 
 /// Renders the scene's lights from a camera.
@@ -75,7 +82,9 @@ pub fn render(
     check_memory(scene, u64::from(request.size[0]) * u64::from(request.size[1]))?;
     let passes = if request.irradiance || request.shaded { request.antialiasing.pow(2) } else { 0 };
     let rows = u64::from(request.size[1]);
-    progress.begin(rows * u64::from(1 + passes) * (1 + scene.lights.len() as u64));
+    let lights = scene.lights.len() as u64;
+    let verify_steps = lights * request.verify.map_or(0, verify::steps);
+    progress.begin(rows * u64::from(1 + passes) * (1 + lights) + verify_steps);
 
     let mut view = View::new(scene, camera, request.size);
     let receivers = view.receivers(DVec2::splat(0.5), progress)?;
@@ -113,10 +122,15 @@ pub fn render(
         }
         shaded = shaded_sum.into_iter().map(|rgb| rgb.map(|x| x as f32)).collect();
     }
-    view.counters.stored_triangles = view.bvh.stored_triangles;
-    view.counters.hierarchy_bytes = view.bvh.bytes() as u64;
-    let View { counters, build_ms, render_ms, .. } = view;
-    Ok(Rendering { receivers, lights, shaded, counters, build_ms, render_ms })
+    let verify_start = Instant::now();
+    let mut verified = Vec::new();
+    if let Some(count) = request.verify {
+        for pair in scene.lights.iter().zip(&lights) {
+            verified.push(verify::verify(scene, &view.bvh, &receivers, pair, count, progress)?);
+        }
+    }
+    let verify_ms = ms_since(verify_start);
+    Ok(Rendering { shaded, verified, verify_ms, ..view.finish(receivers, lights) })
 }
 
 /// Evaluates the scene's lights at given receivers.
@@ -137,10 +151,7 @@ pub fn render_receivers(
     progress.begin(u64::from(receivers.size[1]) * scene.lights.len() as u64);
     let mut view = View::without_camera(scene);
     let lights = view.lights(&receivers, technique, irradiance, progress)?;
-    view.counters.stored_triangles = view.bvh.stored_triangles;
-    view.counters.hierarchy_bytes = view.bvh.bytes() as u64;
-    let View { counters, build_ms, render_ms, .. } = view;
-    Ok(Rendering { receivers, lights, shaded: Vec::new(), counters, build_ms, render_ms })
+    Ok(view.finish(receivers, lights))
 }
 
 /// Most values of visibility, lights times pixels: with irradiance they take some 4 GB.
@@ -193,6 +204,14 @@ impl<'a> View<'a> {
     fn without_camera(scene: &'a Scene) -> Self {
         let bvh = SceneBvh::new(scene);
         Self { scene, camera: None, bvh, counters: Counters::default(), build_ms: 0.0, render_ms: 0.0 }
+    }
+
+    fn finish(self, receivers: Receivers, lights: Vec<LightImage>) -> Rendering {
+        let Self { mut counters, build_ms, render_ms, bvh, .. } = self;
+        counters.stored_triangles = bvh.stored_triangles;
+        counters.hierarchy_bytes = bvh.bytes() as u64;
+        let (shaded, verified, verify_ms) = (Vec::new(), Vec::new(), 0.0);
+        Rendering { receivers, lights, shaded, verified, counters, build_ms, render_ms, verify_ms }
     }
 
     fn receivers(&mut self, offset_px: DVec2, progress: &Progress) -> Result<Receivers> {
@@ -267,9 +286,11 @@ fn reaches_any(light: &AreaLight, receivers: &Bounds) -> bool {
 /// What a light that reaches no receiver leaves.
 fn unlit(receivers: &Receivers, irradiance: bool) -> LightImage {
     let pixels = &receivers.pixels;
+    let missed: Vec<f32> = pixels.iter().map(|pixel| if pixel.is_some() { 0.0 } else { 1.0 }).collect();
     LightImage {
-        visibility: pixels.iter().map(|pixel| if pixel.is_some() { 0.0 } else { 1.0 }).collect(),
+        visibility: missed.clone(),
         irradiance: if irradiance { vec![[0.0; 3]; pixels.len()] } else { Vec::new() },
+        irradiance_ratio: if irradiance { missed.clone() } else { Vec::new() },
         facing: vec![false; pixels.len()],
         ..LightImage::default()
     }

@@ -54,7 +54,7 @@ fn a_rendering_is_compared_with_its_reference() {
     let directory = tempfile::tempdir().expect("a directory");
     let at = directory.path();
     render_square(at, "out.exr", &["--aov", "position,normal"]);
-    succeed(&["reference", "procedural:square", "--size", "40x30", "--samples", "1024", "-o", "truth.exr"], at);
+    succeed(&["reference", "procedural:square", "--size", "40x30", "-o", "truth.exr"], at);
     let text = succeed(&["compare", "out.exr", "truth.exr", "--heatmap", "error.png", "--ssim-map", "ssim.png"], at);
     assert!(text.contains("penumbra"), "{text}");
     assert!(image::open(at.join("error.png")).is_ok() && image::open(at.join("ssim.png")).is_ok());
@@ -137,7 +137,7 @@ fn the_json_record_has_what_the_contract_says() {
 fn receivers_of_an_image_give_its_visibility_back() {
     let directory = tempfile::tempdir().expect("a directory");
     let at = directory.path();
-    let common = ["reference", "procedural:disks?x=0.013", "--size", "40x30", "--samples", "256"];
+    let common = ["reference", "procedural:disks?x=0.013", "--size", "40x30", "--method", "rays", "--samples", "256"];
     succeed(&[common.as_slice(), &["-o", "camera.exr", "--aov", "position,normal"]].concat(), at);
     succeed(&[common.as_slice(), &["-o", "points.exr", "--receivers", "camera.exr"]].concat(), at);
     let (a, b) = (read_exr(&at.join("camera.exr")).expect("reads"), read_exr(&at.join("points.exr")).expect("reads"));
@@ -238,7 +238,8 @@ fn wrong_usage_is_told_in_one_line() {
     fail(&render(&["--set", "samples=0"]), 2, "expected 1 to");
     fail(&render(&["--set", "samples=many"]), 2, "samples");
     fail(&render(&["--set", "pattern=1"]), 2, "expected one of grid, jittered, halton, sobol");
-    fail(&["reference", "procedural:square", "-o", "out.exr", "--method", "exact"], 2, "no exact reference yet");
+    fail(&["reference", "procedural:square", "-o", "out.exr", "--samples", "64"], 2, "add --method rays");
+    fail(&["reference", "procedural:square", "-o", "out.exr", "--cache", "/dev/null/cache"], 1, "/dev/null/cache");
     fail(&render(&["--set", "pattern=spiral"]), 2, "expected one of grid, jittered, halton, sobol");
     fail(&render(&["--light", "Lamp"]), 2, "the scene has");
     fail(&render(&["--camera", "Side"]), 2, "the scene has");
@@ -247,7 +248,7 @@ fn wrong_usage_is_told_in_one_line() {
     fail(&render(&["--size", "0x5"]), 2, "expected");
     fail(&render(&["--device", "gpu"]), 2, "processor");
     fail(&render(&["--aa", "2"]), 2, "pixel centres");
-    fail(&render(&["--verify", "512"]), 2, "no exact reference yet");
+    fail(&render(&["--verify", "0"]), 2, "--verify");
     fail(&render(&["--frames", "1-10"]), 2, "not supported yet");
     fail(&render(&["--max-error", "0.01"]), 2, "no technique `auto` yet");
     fail(&["render", "procedural:square", "-o", "out.jpg"], 2, ".exr or .png");
@@ -262,12 +263,146 @@ fn a_reference_shares_no_samples_with_what_it_judges() {
     let directory = tempfile::tempdir().expect("a directory");
     let at = directory.path();
     render_square(at, "out.exr", &[]);
-    succeed(&["reference", "procedural:square", "--size", "40x30", "--samples", "16", "-o", "truth.exr"], at);
+    succeed(
+        &[
+            "reference",
+            "procedural:square",
+            "--size",
+            "40x30",
+            "--method",
+            "rays",
+            "--samples",
+            "16",
+            "-o",
+            "truth.exr",
+        ],
+        at,
+    );
     let report: Value =
         serde_json::from_str(&succeed(&["compare", "out.exr", "truth.exr", "--json"], at)).expect("JSON");
     // Two independent estimates at the sampling floor of 16 samples (0.044) differ by √2 times that.
     let rmse = report["lights"][0]["masks"]["penumbra"]["rmse"].as_f64().expect("a number");
     assert!(rmse > 0.02, "{rmse}");
+}
+
+#[test]
+fn a_reference_is_exact_unless_told_otherwise() {
+    let directory = tempfile::tempdir().expect("a directory");
+    let at = directory.path();
+    succeed(&["reference", "procedural:square", "--size", "40x30", "-o", "truth.exr"], at);
+    let image = read_exr(&at.join("truth.exr")).expect("reads");
+    assert_eq!(image.attributes["penumbra:technique"], "reference-exact");
+    assert!(image.sampled("Key").expect("a layer").iter().all(|&sampled| sampled == 0.0));
+    // The errors of samples fall towards it.
+    let errors = ["64", "256", "1024"].map(|samples| {
+        let arguments = ["render", "procedural:square", "--size", "40x30", "-o", "out.exr", "--set"];
+        succeed(&[arguments.as_slice(), &[&format!("samples={samples}")]].concat(), at);
+        penumbra_rmse(at, "out.exr", "truth.exr")
+    });
+    assert!(errors[1] < 0.5 * errors[0] && errors[2] < 0.5 * errors[1], "{errors:?}");
+}
+
+/// RMSE over the penumbra of the first light.
+fn penumbra_rmse(at: &Path, test: &str, reference: &str) -> f64 {
+    let report: Value = serde_json::from_str(&succeed(&["compare", test, reference, "--json"], at)).expect("JSON");
+    report["lights"][0]["masks"]["penumbra"]["rmse"].as_f64().expect("a number")
+}
+
+#[test]
+fn irradiance_comes_with_its_share_of_the_unshadowed() {
+    let directory = tempfile::tempdir().expect("a directory");
+    let at = directory.path();
+    let scene = "procedural:corner?height=1&lift=0.4&light=2&occluder=0.3";
+    let arguments = [scene, "--size", "40x30", "--quantity", "irradiance", "-o"];
+    succeed(&[&["reference"], arguments.as_slice(), &["truth.exr"]].concat(), at);
+    succeed(&[&["render"], arguments.as_slice(), &["out.exr", "--set", "samples=1024"]].concat(), at);
+    let [truth, image] = ["truth.exr", "out.exr"].map(|name| read_exr(&at.join(name)).expect("reads"));
+    let light = &truth.light_names()[0];
+    let ratio = truth.irradiance_ratio(light).expect("a layer");
+    let visibility = truth.visibility(light).expect("a layer");
+    let sampled = image.irradiance_ratio(light).expect("a layer");
+    let mut differing = 0;
+    for i in 0..ratio.len() {
+        assert!((0.0..=1.0).contains(&ratio[i]) && (ratio[i] > 0.0) == (visibility[i] > 0.0));
+        // 1024 samples leave some 0.002 of an edge; the weights of so near a light are up to ten times their mean.
+        assert!((ratio[i] - sampled[i]).abs() < 0.02, "{} {}", ratio[i], sampled[i]);
+        differing += usize::from((ratio[i] - visibility[i]).abs() > 0.02);
+    }
+    assert!(differing > 20, "the share of E is that of the area at all but {differing} pixels");
+    // It belongs to pixel centres.
+    succeed(&[&["reference"], arguments.as_slice(), &["aa.exr", "--aa", "2"]].concat(), at);
+    assert!(read_exr(&at.join("aa.exr")).expect("reads").irradiance_ratio(light).is_none());
+}
+
+#[test]
+fn a_reference_answers_at_the_receivers_of_an_image() {
+    let directory = tempfile::tempdir().expect("a directory");
+    let at = directory.path();
+    let camera = ["reference", "procedural:sphere", "--size", "40x30", "-o", "truth.exr", "--aov", "position,normal"];
+    succeed(&camera, at);
+    succeed(&["reference", "procedural:sphere", "--receivers", "truth.exr", "-o", "again.exr"], at);
+    // Positions in the file are rounded to floats, by at most 2e-6 here, of penumbrae that are wider than 2 % of that scene.
+    let rmse = penumbra_rmse(at, "again.exr", "truth.exr");
+    assert!(rmse < 1e-4, "{rmse}");
+}
+
+#[test]
+fn a_cache_answers_again_and_only_what_was_asked() {
+    let directory = tempfile::tempdir().expect("a directory");
+    let at = directory.path();
+    let reference = |output: &'static str, more: &[&'static str]| {
+        let common =
+            ["reference", "--size", "40x30", "--quantity", "irradiance", "--json", "--cache", "kept", "-o", output];
+        let record: Value = serde_json::from_str(&succeed(&[common.as_slice(), more].concat(), at)).expect("JSON");
+        let pass = record["lights"][0]["time_ms"]["passes"][0]["name"].as_str().expect("a pass").to_owned();
+        (pass, std::fs::read(at.join(output)).expect("written"))
+    };
+    let (pass, bytes) = reference("a.exr", &["procedural:square"]);
+    assert_eq!(pass, "exact");
+    assert_eq!(reference("a.exr", &["procedural:square"]), ("cache".into(), bytes.clone()));
+    // Another scene, another quantity, another method: not the same question.
+    for other in [&["procedural:square?occluder=0.4"][..], &["procedural:square", "--method", "rays", "--samples", "4"]]
+    {
+        let (pass, other_bytes) = reference("b.exr", other);
+        assert!(pass != "cache" && other_bytes != bytes, "{other:?}");
+    }
+    // What is damaged is answered anew, and replaced.
+    for entry in std::fs::read_dir(at.join("kept")).expect("a directory") {
+        let path = entry.expect("an entry").path();
+        let whole = std::fs::read(&path).expect("reads");
+        std::fs::write(&path, &whole[..whole.len() / 2]).expect("writes");
+    }
+    assert_eq!(reference("a.exr", &["procedural:square"]), ("exact".into(), bytes.clone()));
+    assert_eq!(reference("a.exr", &["procedural:square"]), ("cache".into(), bytes));
+}
+
+#[test]
+fn verifying_every_receiver_finds_the_error_itself() {
+    let directory = tempfile::tempdir().expect("a directory");
+    let at = directory.path();
+    let common = ["render", "procedural:demo", "--size", "40x30", "--set", "samples=16", "-o", "out.exr"];
+    let record = succeed(&[common.as_slice(), &["--verify", "1000000", "--json"]].concat(), at);
+    let record: Value = serde_json::from_str(&record).expect("JSON");
+    succeed(&["reference", "procedural:demo", "--size", "40x30", "-o", "truth.exr"], at);
+    let report: Value =
+        serde_json::from_str(&succeed(&["compare", "out.exr", "truth.exr", "--json"], at)).expect("JSON");
+    for light in record["lights"].as_array().expect("lights") {
+        let lights = report["lights"].as_array().expect("lights");
+        let compared = lights.iter().find(|other| other["name"] == light["name"]).expect("the same light");
+        let all = &compared["masks"]["all"];
+        let verified = &light["verified"];
+        assert_eq!(verified["receivers"], all["count"]);
+        let number = |value: &Value| value.as_f64().expect("a number");
+        assert!((number(&verified["rmse"]) - number(&all["rmse"])).abs() < 1e-9, "{verified} {all}");
+        assert!((number(&verified["max"]) - number(&all["max"])).abs() < 1e-6, "{verified} {all}");
+        assert_eq!(verified["rmse_ci95"], serde_json::json!([verified["rmse"], verified["rmse"]]));
+    }
+    let header = read_exr(&at.join("out.exr")).expect("reads").attributes["penumbra:verified"].clone();
+    let header: Value = serde_json::from_str(&header).expect("JSON");
+    assert_eq!(header["Key"]["rmse"], record["lights"][0]["verified"]["rmse"]);
+    // For people, a line a light.
+    let text = succeed(&[common.as_slice(), &["--verify", "64"]].concat(), at);
+    assert!(text.lines().count() == 2 && text.contains("Key: RMSE of visibility"), "{text}");
 }
 
 #[test]
@@ -334,7 +469,18 @@ fn a_pixel_that_faces_away_from_the_light_is_in_no_mask() {
 #[test]
 fn ctrl_c_stops_within_a_second_and_leaves_nothing() {
     let directory = tempfile::tempdir().expect("a directory");
-    let arguments = ["reference", "procedural:demo", "--samples", "1000000", "--size", "800x600", "-o", "out.exr"];
+    let arguments = [
+        "reference",
+        "procedural:demo",
+        "--method",
+        "rays",
+        "--samples",
+        "1000000",
+        "--size",
+        "800x600",
+        "-o",
+        "out.exr",
+    ];
     let mut child = command(&arguments, directory.path()).stderr(Stdio::piped()).spawn().expect("runs");
     std::thread::sleep(Duration::from_millis(1500));
     assert!(child.try_wait().expect("a status").is_none(), "it is still at work");

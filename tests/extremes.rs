@@ -169,11 +169,7 @@ fn a_shift_that_keeps_coordinates_exact_keeps_every_bit() {
     let unshifted = bumpy(Vec::new());
     let points: Vec<DVec3> = line(-1.5, 1.5, 96).iter().map(|p| (p * 64.0).round() / 64.0).collect();
     let at = |shift: Vec3| {
-        let mut lights = lights_of_every_shape();
-        for light in &mut lights {
-            let translation = (light.scene_from_light.translation * 64.0).round() / 64.0;
-            light.scene_from_light.translation = translation + shift.as_dvec3();
-        }
+        let lights = lights_in_sixty_fourths(shift.as_dvec3());
         let scene = scene(unshifted.meshes.iter().map(|mesh| snap(mesh, shift)).collect(), lights);
         let points: Vec<DVec3> = points.iter().map(|&point| point + shift.as_dvec3()).collect();
         trace(&scene, &points, &rays(Pattern::Sobol, 64))

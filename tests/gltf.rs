@@ -733,13 +733,13 @@ fn light_names_are_cut_to_what_an_image_can_hold() {
     let mut file = with_area_light(json!({"name": "日".repeat(150), "type": "disk"}));
     file.add_node(json!({"extensions": {"EXT_lights_area": {"light": 0}}}));
     let lights = file.scene().lights;
-    // 78 · 3 = 234 of the 236 bytes that are left beside `#65536.irradiance.R`.
-    assert_eq!(lights[0].name, "日".repeat(78));
-    assert_eq!(lights[1].name, format!("{}#2", "日".repeat(78)));
+    // 77 · 3 = 231 of the 232 bytes that are left beside `#65536.irradiance_ratio`.
+    assert_eq!(lights[0].name, "日".repeat(77));
+    assert_eq!(lights[1].name, format!("{}#2", "日".repeat(77)));
 
     let mut file = emissive();
     file.json["nodes"][0]["name"] = json!("é".repeat(190));
-    assert_eq!(light(&file).name, "é".repeat(118));
+    assert_eq!(light(&file).name, "é".repeat(116));
 }
 
 #[test]

@@ -39,6 +39,10 @@ pub struct Arguments {
     /// What to run on; techniques that need a GPU come later, so `gpu` is refused
     #[arg(long, value_enum, default_value_t = Device::Auto)]
     device: Device,
+    /// Holds the visibility against the exact answer at N random receivers, and reports the error: its RMSE over the image with a
+    /// 95 % interval, and the largest seen
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1 << 24))]
+    verify: Option<u32>,
     #[command(flatten)]
     not_yet: NotYet,
 }
@@ -49,9 +53,6 @@ struct NotYet {
     /// Renders frames A to B of an animation
     #[arg(long, value_name = "A-B[:STEP]", hide = true)]
     frames: Option<String>,
-    /// Verifies at N random receivers against the exact answer
-    #[arg(long, value_name = "N", hide = true)]
-    verify: Option<String>,
     /// Largest error that `auto` may make
     #[arg(long, value_name = "E", hide = true)]
     max_error: Option<String>,
@@ -64,7 +65,6 @@ impl NotYet {
     fn refuse(&self) -> Result<()> {
         let options = [
             ("--frames", &self.frames, "animation is not supported yet: the scene is rendered as the file poses it"),
-            ("--verify", &self.verify, "there is no exact reference yet; compare with `penumbra reference`"),
             ("--max-error", &self.max_error, "there is no technique `auto` yet"),
             ("--budget", &self.budget, "there is no technique `auto` yet"),
         ];
@@ -121,6 +121,7 @@ impl ImageOptions {
             irradiance: self.quantity == Quantity::Irradiance,
             shaded: self.quantity == Quantity::Shaded,
             antialiasing: self.aa,
+            verify: None,
         }
     }
 
@@ -167,7 +168,7 @@ pub fn run(arguments: &Arguments, progress: &Progress) -> anyhow::Result<()> {
     loaded.note_framing();
     print_warnings(&loaded.scene.warnings);
     let LoadedScene { scene, camera, .. } = &loaded;
-    let request = arguments.image.request(arguments.scene.size);
+    let request = Request { verify: arguments.verify, ..arguments.image.request(arguments.scene.size) };
     let rendering =
         with_bar(entry.name, progress, || render::render(scene, camera, technique.as_ref(), &request, progress))?;
     let origin = Origin { technique: entry.name, parameters: technique.parameters() };

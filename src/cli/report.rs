@@ -6,15 +6,16 @@ use std::time::Instant;
 use clap::ValueEnum;
 use glam::DVec3;
 use serde::Serialize;
-use serde_json::Value;
+use serde_json::{Map, Value, json};
 
-use super::print_json;
 use super::render::ImageOptions;
+use super::{print, print_json};
 use crate::image::{Image, png_paths, write_exr, write_png, write_pngs};
 use crate::progress::ms_since;
 use crate::receivers::{Receiver, Receivers};
+use crate::reference::verify::Verified;
 use crate::render::{Counters, Rendering};
-use crate::scene::Scene;
+use crate::scene::{AreaLight, Scene};
 use crate::techniques::Pass;
 use crate::{Error, Result};
 
@@ -67,8 +68,15 @@ pub fn image_of(scene: &Scene, rendering: &mut Rendering, origin: &Origin, quant
         // Where nothing was hit there is nothing to turn away either.
         let facing = facing.map(|(&facing, pixel)| if facing || pixel.is_none() { 1.0 } else { 0.0 }).collect();
         image.add(format!("{}.facing", light.name), facing);
+        if !seen.sampled.is_empty() {
+            let sampled = seen.sampled.iter().map(|&sampled| f32::from(u8::from(sampled)));
+            image.add(format!("{}.sampled", light.name), sampled.collect());
+        }
         if quantity == Quantity::Irradiance {
             add_rgb(&mut image, &format!("{}.irradiance", light.name), &seen.irradiance);
+            if !seen.irradiance_ratio.is_empty() {
+                image.add(format!("{}.irradiance_ratio", light.name), std::mem::take(&mut seen.irradiance_ratio));
+            }
         }
     }
     if quantity == Quantity::Shaded {
@@ -83,6 +91,11 @@ pub fn image_of(scene: &Scene, rendering: &mut Rendering, origin: &Origin, quant
         ("scene", scene.name.clone()),
     ];
     image.attributes.extend(attributes.map(|(name, value)| (format!("penumbra:{name}"), value)));
+    if !rendering.verified.is_empty() {
+        let by_light: Map<String, Value> =
+            scene.lights.iter().zip(&rendering.verified).map(|(light, v)| (light.name.clone(), json!(v))).collect();
+        image.attributes.insert("penumbra:verified".into(), Value::Object(by_light).to_string());
+    }
     image
 }
 
@@ -163,12 +176,37 @@ pub fn finish(
             load: load_ms,
             build: rendering.build_ms,
             render: rendering.render_ms,
+            verify: rendering.verify_ms,
             write: ms_since(write_start),
             total: ms_since(start),
         };
         print_json(&Record::new(scene, &rendering, origin, &outputs, time_ms))?;
+    } else if !rendering.verified.is_empty() {
+        print(&verified_table(scene, &rendering.verified))?;
     }
     Ok(())
+}
+
+/// The measured errors for people, a line a light.
+fn verified_table(scene: &Scene, verified: &[Verified]) -> String {
+    let line = |(light, v): (&AreaLight, &Verified)| {
+        if v.receivers == 0 {
+            return format!("{}: faces no receiver: nothing to verify", light.name);
+        }
+        let [low, high] = v.rmse_ci95;
+        let sampled = if v.sampled > 0 { format!(", {} of them sampled", v.sampled) } else { String::new() };
+        let error = if v.max == 0.0 {
+            format!("no error of visibility seen, RMSE at most {high:.5} (95 %)")
+        } else {
+            format!(
+                "RMSE of visibility {:.5}, between {low:.5} and {high:.5} (95 %); largest error {:.5}",
+                v.rmse, v.max
+            )
+        };
+        let receivers = if v.receivers == 1 { "1 receiver".into() } else { format!("{} receivers", v.receivers) };
+        format!("{}: {error}; {receivers}{sampled}", light.name)
+    };
+    scene.lights.iter().zip(verified).map(line).collect::<Vec<_>>().join("\n")
 }
 
 /// The record that `--json` prints.
@@ -208,7 +246,12 @@ struct LightRecord {
     name: String,
     samples: u32,
     rays: u64,
+    /// Receivers whose exact answer had to be sampled.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    sampled_receivers: Option<usize>,
     time_ms: LightTimeRecord,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    verified: Option<Verified>,
 }
 
 #[derive(Debug, Serialize)]
@@ -226,6 +269,8 @@ pub struct TimeRecord {
     pub build: f64,
     /// The technique.
     pub render: f64,
+    /// The exact answers that the image was held against.
+    pub verify: f64,
     /// Writing the output.
     pub write: f64,
     /// All of it.
@@ -242,15 +287,18 @@ impl Record {
     /// The record of a finished run.
     pub fn new(scene: &Scene, rendering: &Rendering, origin: Origin, outputs: &[PathBuf], time_ms: TimeRecord) -> Self {
         let outputs: Vec<String> = outputs.iter().map(|path| path.display().to_string()).collect();
-        let lights = scene.lights.iter().zip(&rendering.lights).map(|(light, image)| LightRecord {
-            name: light.name.clone(),
-            samples: image.samples,
-            rays: image.rays,
-            time_ms: LightTimeRecord {
-                total: image.passes.iter().map(|pass| pass.ms).sum(),
-                passes: image.passes.clone(),
-            },
-        });
+        let lights =
+            scene.lights.iter().zip(&rendering.lights).enumerate().map(|(index, (light, image))| LightRecord {
+                name: light.name.clone(),
+                samples: image.samples,
+                rays: image.rays,
+                sampled_receivers: (!image.sampled.is_empty()).then(|| image.sampled.iter().filter(|&&s| s).count()),
+                verified: rendering.verified.get(index).copied(),
+                time_ms: LightTimeRecord {
+                    total: image.passes.iter().map(|pass| pass.ms).sum(),
+                    passes: image.passes.clone(),
+                },
+            });
         Self {
             output: outputs.first().cloned().unwrap_or_default(),
             outputs,

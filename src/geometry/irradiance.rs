@@ -43,6 +43,15 @@ pub fn unshadowed(light: &AreaLight, receiver: &Receiver) -> DVec3 {
     if weight > 0.0 { weight * emission_factor(light) } else { DVec3::ZERO }
 }
 
+/// Irradiance from the part of an area emitter that `boundary` encloses, W/m², linear RGB: closed loops relative to the
+/// emitter's centre, counter-clockwise along the line of sight (holes clockwise), above the receiver's horizon and its shading
+/// plane. The whole emitter gives what [`unshadowed`] gives.
+pub fn from_part(light: &AreaLight, emitter: &Emitter, receiver: &Receiver, boundary: Vec<Piece>) -> DVec3 {
+    let region = Region { center: emitter.center, away: -emitter.normal, pieces: boundary };
+    let weight = region_weight(light, emitter, receiver, &near_unit(&region));
+    if weight > 0.0 { weight * emission_factor(light) } else { DVec3::ZERO }
+}
+
 /// What [`sample_weight`]'s mean is multiplied by, besides the emitter's area: radiance (of a sun, the constant radiance of
 /// its disc, E/(π sin²(angle/2))), or, for a light that is a point, its intensity or irradiance at normal incidence.
 pub fn emission_factor(light: &AreaLight) -> DVec3 {
@@ -167,12 +176,20 @@ fn tan_minus_angle(x: f64) -> f64 {
 
 /// ∫w dA over an area emitter.
 fn weight_integral(light: &AreaLight, emitter: &Emitter, receiver: &Receiver) -> f64 {
-    let mut region = Region::of(emitter);
-    region = region.scaled(power_of_two_near_inverse(region.center.length().max(region.radius())));
-    region = region.clipped(receiver.normal);
+    let mut region = near_unit(&Region::of(emitter)).clipped(receiver.normal);
     if receiver.shading_normal != receiver.normal {
         region = region.clipped(receiver.shading_normal);
     }
+    region_weight(light, emitter, receiver, &region)
+}
+
+/// The region scaled by a power of two to a size near 1.
+fn near_unit(region: &Region) -> Region {
+    region.scaled(power_of_two_near_inverse(region.center.length().max(region.radius())))
+}
+
+/// ∫w dA over a region of the emitter, at any scale.
+fn region_weight(light: &AreaLight, emitter: &Emitter, receiver: &Receiver, region: &Region) -> f64 {
     if region.pieces.is_empty() {
         return 0.0;
     }
@@ -192,9 +209,9 @@ fn weight_integral(light: &AreaLight, emitter: &Emitter, receiver: &Receiver) ->
     match modulation {
         Modulation { spread: None, cone: None } => region.projected_solid_angle(normal),
         Modulation { spread: Some((tan, norm, _)), cone: None } => {
-            spread_integral(&region, &modulation, tan, norm, normal)
+            spread_integral(region, &modulation, tan, norm, normal)
         }
-        _ => modulated_integral(&region, &modulation, normal),
+        _ => modulated_integral(region, &modulation, normal),
     }
 }
 
@@ -222,7 +239,7 @@ fn spread_integral(region: &Region, modulation: &Modulation, tan: f64, norm: f64
         let (constant, linear) = spread_moments(x, tan);
         (normal.dot(edge) / depth * linear + along_away * constant) / (norm * depth * depth)
     };
-    foot_fan(region, foot, (depth, Some(tan)), (SPREAD_TOLERANCE, 0.0), radial)
+    foot_fan(region, foot, (depth, Some(tan)), &[], (SPREAD_TOLERANCE, 0.0), radial)
 }
 
 /// ∫₀¹ τ·f(xτ) dτ and ∫₀¹ τ²·f(xτ) dτ for f(y) = max(tan h − y, 0)/(1 + y²)².
@@ -285,7 +302,7 @@ fn modulated_integral(region: &Region, modulation: &Modulation, normal: DVec3) -
     };
     if let Some(foot) = foot {
         let start = depth * region.away;
-        return foot_fan(region, foot, (depth, None), (outer, floor), |edge| radial(start, edge));
+        return foot_fan(region, foot, (depth, None), &creases, (outer, floor), |edge| radial(start, edge));
     }
     let inside = region.inside();
     let start = region.center + inside;
@@ -296,10 +313,17 @@ fn modulated_integral(region: &Region, modulation: &Modulation, normal: DVec3) -
     let piece_integral = |piece: &Piece| match piece {
         Piece::Segment { from, to } => {
             let along = *to - *from;
-            adaptive(0.0, 1.0, outer, floor, |t| term(*from + t * along, along))
+            let mut breaks = vec![0.0, 1.0];
+            for &(axis, cos) in &creases {
+                breaks.extend(cone_crossings(axis, cos, region.center + *from, along));
+            }
+            breaks.sort_by(f64::total_cmp);
+            let parts = breaks.windows(2).filter(|w| w[0] < w[1]);
+            parts.map(|w| adaptive(w[0], w[1], outer, floor, |t| term(*from + t * along, along))).sum::<f64>()
         }
         Piece::Arc(arc) => {
-            arc.quarters().map(|q| adaptive(q.from, q.to, outer, floor, |phi| term(q.at(phi), q.derivative(phi)))).sum()
+            let parts = cut_at_creases(region, arc, &creases);
+            parts.iter().map(|q| adaptive(q.from, q.to, outer, floor, |phi| term(q.at(phi), q.derivative(phi)))).sum()
         }
     };
     region.pieces.iter().map(piece_integral).sum()
@@ -315,6 +339,42 @@ fn cone_crossings(axis: DVec3, cos: f64, start: DVec3, edge: DVec3) -> impl Iter
     [sum / a, c / sum].into_iter().filter(|tau| *tau > 0.0 && *tau < 1.0)
 }
 
+/// Pieces of an arc of a region's boundary, at most a quarter turn each, cut where a crease crosses it: found by a change of
+/// side from one eighth of a quarter to the next.
+fn cut_at_creases(region: &Region, arc: &Arc, creases: &[(DVec3, f64)]) -> Vec<Arc> {
+    const STEPS: usize = 8;
+    let mut parts = Vec::new();
+    for quarter in arc.quarters() {
+        let mut breaks = vec![quarter.from, quarter.to];
+        for &(axis, cos) in creases {
+            let side = |phi: f64| {
+                let point = region.center + quarter.at(phi);
+                axis.dot(point) > cos * point.length()
+            };
+            let at = |step: usize| quarter.from + (quarter.to - quarter.from) * (step as f64 / STEPS as f64);
+            for step in 0..STEPS {
+                let (mut low, mut high) = (at(step), at(step + 1));
+                let start = side(low);
+                if side(high) == start {
+                    continue;
+                }
+                loop {
+                    let middle = 0.5 * (low + high);
+                    if middle <= low || middle >= high {
+                        break;
+                    }
+                    if side(middle) == start { low = middle } else { high = middle }
+                }
+                breaks.push(low);
+            }
+        }
+        breaks.sort_by(f64::total_cmp);
+        let pairs = breaks.windows(2).filter(|w| w[0] < w[1]);
+        parts.extend(pairs.map(|w| Arc { from: w[0], to: w[1], ..quarter }));
+    }
+    parts
+}
+
 /// The foot of the perpendicular from the receiver onto the region's plane, relative to the region's centre, unless it is too
 /// far from the region to start a fan at.
 fn near_foot(region: &Region) -> Option<DVec3> {
@@ -323,12 +383,13 @@ fn near_foot(region: &Region) -> Option<DVec3> {
 }
 
 /// ∫∫f dA over the region as a signed fan around the foot: `radial(edge)` is ∫₀¹ τ·f(foot + τ·edge) dτ. f changes on the scale
-/// of `depth`, and is zero beyond a distance of `tan_limit` depths from the foot;
-/// tolerance and floor as of `adaptive`.
+/// of `depth`, is not smooth across the creases, which edges are cut at (a corner beyond one may be too small for any rule to
+/// see), and is zero beyond a distance of `tan_limit` depths from the foot; tolerance and floor as of `adaptive`.
 fn foot_fan(
     region: &Region,
     foot: DVec3,
     (depth, tan_limit): (f64, Option<f64>),
+    creases: &[(DVec3, f64)],
     (tolerance, floor): (f64, f64),
     radial: impl Fn(DVec3) -> f64,
 ) -> f64 {
@@ -346,7 +407,12 @@ fn foot_fan(
         }
         let (first, last) = (start.atan2(height), end.atan2(height));
         let limit = tan_limit.map_or(0.0, |tan| (height / (tan * depth)).min(1.0).acos());
-        let breaks = [first, (-limit).clamp(first, last), limit.clamp(first, last), last];
+        let mut breaks = vec![first, (-limit).clamp(first, last), limit.clamp(first, last), last];
+        for &(axis, cos) in creases {
+            let crossings = cone_crossings(axis, cos, region.center + from, to - from);
+            breaks.extend(crossings.map(|t| (start + t * (end - start)).atan2(height).clamp(first, last)));
+        }
+        breaks.sort_by(f64::total_cmp);
         let polar = |phi: f64| {
             let edge = nearest + height * phi.tan() * along;
             edge.length_squared() * radial(edge)
@@ -362,7 +428,8 @@ fn foot_fan(
             let edge = edge(phi);
             region.away.dot(edge.cross(arc.derivative(phi))) * radial(edge)
         };
-        arc.quarters().map(|quarter| quarter.integrate((tolerance, floor), squared, slope, term)).sum()
+        let parts = cut_at_creases(region, arc, creases);
+        parts.iter().map(|part| part.integrate((tolerance, floor), squared, slope, term)).sum()
     };
     let piece_integral = |piece: &Piece| match piece {
         Piece::Segment { from, to } => segment(*from, *to),

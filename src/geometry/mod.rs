@@ -2,7 +2,9 @@
 
 pub mod bvh;
 pub mod contour;
+pub mod coverage;
 pub mod irradiance;
+pub mod outline;
 mod quadrature;
 pub mod shaft;
 pub mod triangle;

@@ -23,6 +23,35 @@ pub struct Segment {
     pub end_error: Option<DVec3>,
 }
 
+impl Segment {
+    /// Height of a plane over the origin, along the plane's `normal` (in units of its length), the plane's point `a` given
+    /// relative to the origin; exactly 0 where rounding could account for it.
+    #[inline]
+    pub fn origin_height(&self, normal: DVec3, a: DVec3) -> f64 {
+        beyond(normal.dot(a), normal.abs().dot(self.origin_error + ROUNDING * a.abs()))
+    }
+
+    /// The same over the end of a segment that has one.
+    #[inline]
+    pub fn end_height(&self, normal: DVec3, a: DVec3) -> f64 {
+        let d = self.direction;
+        let end_error = self.end_error.unwrap_or(DVec3::ZERO);
+        beyond(normal.dot(a - d), normal.abs().dot(end_error + ROUNDING * (a.abs() + d.abs())))
+    }
+}
+
+/// A value, or 0 where it is within its error bound.
+#[inline]
+fn beyond(value: f64, bound: f64) -> f64 {
+    if value.abs() <= bound { 0.0 } else { value }
+}
+
+/// A triangle's normal, as long as twice its area. Differences of f32 corners are exact or nearly so.
+#[inline]
+pub fn normal_of([a, b, c]: [DVec3; 3]) -> DVec3 {
+    (b - a).cross(c - a)
+}
+
 /// Where a segment crosses a triangle.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Crossing {
@@ -46,21 +75,15 @@ pub fn crossing(segment: &Segment, corners: [DVec3; 3]) -> Option<Crossing> {
     if any_negative == any_positive {
         return None;
     }
-    // Differences of f32 corners, hence exact or nearly so.
-    let normal = (corners[1] - corners[0]).cross(corners[2] - corners[0]);
-    let size = normal.abs();
-    // Heights of the plane over both ends, along the normal; their bounds cover the rounding of three products and sums.
-    let origin_height = normal.dot(a);
-    let origin_bound = size.dot(segment.origin_error + ROUNDING * a.abs());
-    if origin_height.abs() <= origin_bound {
+    let normal = normal_of(corners);
+    let origin_height = segment.origin_height(normal, a);
+    if origin_height == 0.0 {
         return None;
     }
     let slope = normal.dot(d);
-    if let Some(end_error) = segment.end_error {
-        let end = a - d;
-        let end_height = normal.dot(end);
-        let end_bound = size.dot(end_error + ROUNDING * (a.abs() + d.abs()));
-        if end_height.abs() <= end_bound || (end_height > 0.0) == (origin_height > 0.0) {
+    if segment.end_error.is_some() {
+        let end_height = segment.end_height(normal, a);
+        if end_height == 0.0 || (end_height > 0.0) == (origin_height > 0.0) {
             return None;
         }
     } else if slope == 0.0 || (slope > 0.0) != (origin_height > 0.0) {

@@ -4,6 +4,7 @@
 //! FLIP: Andersson et al. 2020, "FLIP: A Difference Evaluator for Alternating Images", through the `nv-flip` crate.
 
 mod heatmap;
+mod interval;
 
 use std::collections::BTreeMap;
 use std::fmt::Write;
@@ -15,6 +16,7 @@ use crate::image::{Image, grey_png};
 use crate::{Error, Result};
 
 pub use heatmap::{Map, heatmap};
+pub use interval::{RmseEstimate, rmse_interval};
 
 /// Which pixels are measured. Made from the reference alone, so that every test is judged on the same pixels. Pixels that
 /// face away from the light (the reference's `facing` is 0) are in none.

@@ -253,6 +253,13 @@ impl Emitter {
         self.center + uv.x * self.half_u + uv.y * self.half_v
     }
 
+    /// Bound on the error of each coordinate of [`Emitter::at`] as seen from the receiver that it was made for, at `position`:
+    /// a handful of roundings of its terms.
+    pub fn position_error(&self, position: DVec3) -> f64 {
+        let magnitude = self.center.abs() + self.half_u.abs() + self.half_v.abs() + position.abs();
+        8.0 * f64::EPSILON * magnitude.max_element()
+    }
+
     /// The surface's area, m² (at distance 1 for a distant one); zero for a point.
     pub fn area(&self) -> f64 {
         let parallelogram = self.half_u.cross(self.half_v).length();

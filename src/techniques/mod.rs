@@ -6,6 +6,7 @@ pub mod rays;
 
 use std::time::Instant;
 
+use glam::DVec3;
 use schemars::{JsonSchema, SchemaGenerator};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
@@ -13,7 +14,7 @@ use serde_json::{Map, Value};
 
 use crate::geometry::bvh::SceneBvh;
 use crate::progress::{Progress, ms_since};
-use crate::receivers::Receivers;
+use crate::receivers::{Receiver, Receivers};
 use crate::scene::{AreaLight, Scene};
 use crate::{Error, Result};
 
@@ -72,15 +73,62 @@ pub struct LightImage {
     pub visibility: Vec<f32>,
     /// E, W/m², RGB; empty unless asked for.
     pub irradiance: Vec<[f32; 3]>,
+    /// E/E₀, the share of the unshadowed irradiance, in [0, 1]; 0 where E₀ is. Empty unless E is asked for at pixel centres.
+    pub irradiance_ratio: Vec<f32>,
     /// Whether some of the light lies above the receiver's tangent plane and emits towards it. Where not, V is 0 and the pixel
     /// is in no mask.
     pub facing: Vec<bool>,
+    /// Where the exact reference had to sample; empty for what always does.
+    pub sampled: Vec<bool>,
     /// Light samples a receiver.
     pub samples: u32,
     /// Occlusion rays traced.
     pub rays: u64,
     /// Time of each pass.
     pub passes: Vec<Pass>,
+}
+
+/// Which instances a light lights, and which block it.
+#[derive(Debug)]
+pub struct Linking {
+    /// By instance; shorter where nothing is excluded.
+    transparent: Vec<bool>,
+    unlit: Vec<bool>,
+}
+
+impl Linking {
+    /// What a light's exclusions name, and its own geometry.
+    pub fn of(scene: &Scene, light: &AreaLight) -> Self {
+        let under = |names: &[String]| if names.is_empty() { Vec::new() } else { scene.instances_under(names) };
+        let mut transparent = under(&light.shadow_exclude);
+        if let Some(own) = light.own_instance {
+            transparent.resize(scene.instances.len(), false);
+            transparent[own] = true;
+        }
+        Self { transparent, unlit: under(&light.light_exclude) }
+    }
+
+    /// Whether an instance may block the light.
+    pub fn blocks(&self, instance: u32) -> bool {
+        self.transparent.get(instance as usize) != Some(&true)
+    }
+
+    /// Whether the light lights a receiver.
+    pub fn lights(&self, receiver: &Receiver) -> bool {
+        self.unlit.get(receiver.instance as usize) != Some(&true)
+    }
+}
+
+impl LightImage {
+    /// Adds a pixel: V, E with E/E₀ if asked for, and whether the light faces it.
+    pub fn push(&mut self, visibility: f64, irradiance: Option<(DVec3, f64)>, facing: bool) {
+        self.visibility.push(visibility as f32);
+        self.facing.push(facing);
+        if let Some((rgb, ratio)) = irradiance {
+            self.irradiance.push(rgb.as_vec3().to_array());
+            self.irradiance_ratio.push(ratio as f32);
+        }
+    }
 }
 
 /// Time of one pass of a technique.

@@ -9,14 +9,14 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
-use super::{Entry, Frame, LightImage, Needs, Technique, parse_parameters, schema_of, timed};
+use super::{Entry, Frame, LightImage, Linking, Needs, Technique, parse_parameters, schema_of, timed};
 use crate::Result;
 use crate::geometry::bvh::{Scratch, ShadowRay};
 use crate::geometry::irradiance;
 use crate::receivers::Receiver;
 use crate::sampling::{Pattern, Sampler};
 use crate::scene::AreaLight;
-use crate::scene::light::{Domain, Emitter};
+use crate::scene::light::Domain;
 
 /// Registered as `rays`.
 pub const ENTRY: Entry = Entry {
@@ -70,23 +70,18 @@ pub struct Seen {
     pub rays: u32,
 }
 
-/// A light that does not face the receiver.
+/// What a receiver sees of a light that does not face it.
 const UNSEEN: Seen = Seen { count: 0, samples: 1, irradiance_ratio: 0.0, facing: false, rays: 0 };
 
-/// For each instance, whether `names` hold it; empty without names.
-fn instances_under(frame: &Frame, names: &[String]) -> Vec<bool> {
-    if names.is_empty() { Vec::new() } else { frame.scene.instances_under(names) }
-}
-
 impl Rays {
-    /// What the receiver sees of the light; `number` picks its samples, `blocks` the instances that may block.
+    /// What the receiver sees of the light; `number` picks its samples.
     pub fn trace(
         &self,
         frame: &Frame,
         light: &AreaLight,
         receiver: &Receiver,
         number: u32,
-        blocks: &(impl Fn(u32) -> bool + Sync),
+        linking: &Linking,
         scratch: &mut Scratch,
     ) -> Seen {
         let Some(emitter) = light.emitter(receiver.position) else { return UNSEEN };
@@ -97,7 +92,7 @@ impl Rays {
         let sampler = Sampler::new(self.pattern, samples, number, self.seed);
         let mut seen = Seen { count: 0, samples, irradiance_ratio: 0.0, facing: true, rays: 0 };
         let (mut above, mut seen_weight, mut weight) = (0, 0.0, 0.0);
-        let light_error = light_error(&emitter, receiver);
+        let light_error = emitter.position_error(receiver.position);
         for index in 0..samples {
             let to_light = emitter.at(sampler.on_emitter(index, &emitter));
             let sample_weight =
@@ -117,7 +112,7 @@ impl Rays {
                     distant: emitter.distant,
                     source: (receiver.instance, receiver.triangle),
                 };
-                if frame.bvh.is_blocked(&ray, scratch, blocks) {
+                if frame.bvh.is_blocked(&ray, scratch, |instance| linking.blocks(instance)) {
                     continue;
                 }
             }
@@ -137,25 +132,11 @@ impl Rays {
     }
 }
 
-/// Bound on the error of each coordinate of a light point: a handful of roundings of its terms.
-fn light_error(emitter: &Emitter, receiver: &Receiver) -> f64 {
-    let magnitude = emitter.center.abs() + emitter.half_u.abs() + emitter.half_v.abs() + receiver.position.abs();
-    8.0 * f64::EPSILON * magnitude.max_element()
-}
-
 impl Technique for Rays {
     fn render(&self, frame: &Frame, light: &AreaLight) -> Result<LightImage> {
         let samples = if light.shape.is_point() { 1 } else { self.samples };
         let mut image = LightImage { samples, ..LightImage::default() };
-        // Light and shadow linking; nothing to look up without.
-        let mut transparent = instances_under(frame, &light.shadow_exclude);
-        if let Some(own) = light.own_instance {
-            transparent.resize(frame.scene.instances.len(), false);
-            transparent[own] = true;
-        }
-        let blocks = |instance: u32| transparent.get(instance as usize) != Some(&true);
-        let unlit = instances_under(frame, &light.light_exclude);
-        let is_lit = |receiver: &Receiver| unlit.get(receiver.instance as usize) != Some(&true);
+        let linking = Linking::of(frame.scene, light);
 
         let [width, height] = frame.receivers.size;
         let mut passes = Vec::new();
@@ -168,22 +149,23 @@ impl Technique for Rays {
                         let number = y * width + x;
                         frame.progress.check()?;
                         let Some(receiver) = &frame.receivers.pixels[number as usize] else {
-                            row.push(1.0, frame.irradiance.then_some(DVec3::ZERO), false);
+                            row.push(1.0, frame.irradiance.then_some((DVec3::ZERO, 1.0)), false);
                             continue;
                         };
-                        let seen = if is_lit(receiver) {
-                            self.trace(frame, light, receiver, number, &blocks, scratch)
+                        let seen = if linking.lights(receiver) {
+                            self.trace(frame, light, receiver, number, &linking, scratch)
                         } else {
                             UNSEEN
                         };
                         row.rays += u64::from(seen.rays);
                         let irradiance = frame.irradiance.then(|| {
                             // Most pixels of most images are lit or dark: only what is seen costs a closed form.
-                            if seen.irradiance_ratio == 0.0 {
+                            let rgb = if seen.irradiance_ratio == 0.0 {
                                 DVec3::ZERO
                             } else {
                                 seen.irradiance_ratio * irradiance::unshadowed(light, receiver)
-                            }
+                            };
+                            (rgb, if rgb == DVec3::ZERO { 0.0 } else { seen.irradiance_ratio })
                         });
                         row.push(f64::from(seen.count) / f64::from(seen.samples), irradiance, seen.facing);
                     }
@@ -195,6 +177,7 @@ impl Technique for Rays {
         for row in rows {
             image.visibility.extend(row.visibility);
             image.irradiance.extend(row.irradiance);
+            image.irradiance_ratio.extend(row.irradiance_ratio);
             image.facing.extend(row.facing);
             image.rays += row.rays;
         }
@@ -204,13 +187,5 @@ impl Technique for Rays {
 
     fn parameters(&self) -> Value {
         serde_json::to_value(self).expect("parameters are numbers and names")
-    }
-}
-
-impl LightImage {
-    fn push(&mut self, visibility: f64, irradiance: Option<DVec3>, facing: bool) {
-        self.visibility.push(visibility as f32);
-        self.irradiance.extend(irradiance.map(|rgb| rgb.as_vec3().to_array()));
-        self.facing.push(facing);
     }
 }

@@ -5,13 +5,16 @@
 use std::path::{Path, PathBuf};
 
 use glam::{DAffine3, DMat3, DVec2, DVec3, Vec3};
+use penumbra::geometry::bvh::SceneBvh;
 use penumbra::progress::Progress;
 use penumbra::receivers::{Receiver, Receivers, UNKNOWN};
+use penumbra::reference::exact::{Answer, Exact, Memory};
 use penumbra::render::{Rendering, render_receivers};
 use penumbra::sampling::Pattern;
 use penumbra::scene::camera::aimed;
 use penumbra::scene::{AreaLight, Instance, Mesh, Node, Scene, Shape};
 use penumbra::techniques::rays::Rays;
+use penumbra::techniques::{Frame, Linking};
 
 /// A mesh of the given corners, three a triangle.
 pub fn mesh(triangles: &[[[f32; 3]; 3]]) -> Mesh {
@@ -94,6 +97,27 @@ pub fn visibility(scene: &Scene, positions_world: &[DVec3], samples: u32) -> Vec
     trace(scene, positions_world, &rays(Pattern::Grid, samples)).lights.swap_remove(0).visibility
 }
 
+/// The exact answers of every light at receivers, in `f64`.
+pub fn exact(scene: &Scene, receivers: &Receivers) -> Vec<Vec<Answer>> {
+    let mut bvh = SceneBvh::new(scene);
+    bvh.add(|_| true);
+    let progress = Progress::default();
+    let frame = Frame { scene, bvh: &bvh, receivers, irradiance: true, progress: &progress };
+    let of_light = |light: &AreaLight| {
+        let linking = Linking::of(scene, light);
+        let receivers = receivers.hits().enumerate();
+        let mut memory = Memory::default();
+        receivers.map(|(i, r)| Exact::answer(&frame, light, r, i as u32, &linking, &mut memory)).collect()
+    };
+    scene.lights.iter().map(of_light).collect()
+}
+
+/// The exact V of the first light at world positions with normal +Y.
+pub fn exact_visibility(scene: &Scene, positions_world: &[DVec3]) -> Vec<f64> {
+    let answers = exact(scene, &receivers(scene, positions_world, DVec3::Y)).swap_remove(0);
+    answers.into_iter().map(|answer| answer.visibility).collect()
+}
+
 /// The same scene with every position multiplied by `factor`.
 pub fn scaled(scene: &Scene, factor: f64) -> Scene {
     let mut scaled = scene.clone();
@@ -136,6 +160,15 @@ pub fn lights_of_every_shape() -> Vec<AreaLight> {
     ];
     // The sun shines a little aslant.
     lights[6].scene_from_light.matrix3 = DMat3::from_rotation_z(0.2) * lights[6].scene_from_light.matrix3;
+    lights
+}
+
+/// [`lights_of_every_shape`] at places that are multiples of a sixty-fourth, moved by a shift that is one too.
+pub fn lights_in_sixty_fourths(shift: DVec3) -> Vec<AreaLight> {
+    let mut lights = lights_of_every_shape();
+    for light in &mut lights {
+        light.scene_from_light.translation = (light.scene_from_light.translation * 64.0).round() / 64.0 + shift;
+    }
     lights
 }
 

@@ -3,13 +3,17 @@
 use std::path::Path;
 use std::time::Instant;
 
-use glam::{DAffine3, DMat3, DVec2, DVec3};
+use glam::{DVec2, DVec3};
 use penumbra::geometry::bvh::{SceneBvh, ShadowRay};
 use penumbra::progress::Progress;
 use penumbra::receivers::{Receiver, Receivers};
 use penumbra::sampling::{Pattern, Sampler};
 use penumbra::scene::additions::{LightSpec, add_floor, add_light};
-use penumbra::scene::{AreaLight, Camera, LoadOptions, Projection, Scene, Shape, gltf};
+use penumbra::scene::{AreaLight, Camera, LoadOptions, Scene, Shape, gltf};
+use rayon::prelude::*;
+
+use crate::embree;
+use crate::judged::kitchen_camera;
 
 /// Image size, pixels.
 pub const SIZE: [u32; 2] = [640, 480];
@@ -53,30 +57,24 @@ pub fn load(name: &str, path: &Path) -> penumbra::Result<Case> {
     Ok(Case { scene, camera, light, load_ms })
 }
 
-/// The camera of `kitchen.mitsuba.xml`: full horizontal field of view 60°; Mitsuba looks along +Z with +X to the left.
-fn kitchen_camera(scene: &Scene, aspect: f64) -> Camera {
-    let x = DVec3::new(-0.89874, 0.0, 0.438481);
-    let y = DVec3::new(-0.0182716, 0.999131, -0.0374507);
-    let eye_world = DVec3::new(1.211, 1.80475, 3.85239);
-    // The file's digits make the axes orthogonal to 1e-6 only.
-    let x = -x.normalize();
-    let y = (y - y.dot(x) * x).normalize();
-    Camera {
-        name: "kitchen".into(),
-        scene_from_camera: DAffine3 {
-            matrix3: DMat3::from_cols(x, y, x.cross(y)),
-            translation: eye_world - scene.origin_world,
-        },
-        projection: Projection::Perspective { fov_y: 2.0 * (30f64.to_radians().tan() / aspect).atan() },
-        near: 0.0,
-        far: f64::INFINITY,
-    }
-}
-
 /// A light of another size.
 pub fn resized(light: &AreaLight, factor: f64) -> AreaLight {
     let Shape::Rect { size } = light.shape else { panic!("the automatic light is a rectangle") };
     AreaLight { shape: Shape::Rect { size: factor * size }, ..light.clone() }
+}
+
+/// Embree's scene: each instance relative to a place in scene space, rounded to `f32`.
+pub fn flatten(scene: &Scene, from: DVec3) -> Vec<embree::Mesh> {
+    scene
+        .instances
+        .par_iter()
+        .map(|instance| {
+            let mesh = &scene.meshes[instance.mesh];
+            let place =
+                |p: &glam::Vec3| (instance.scene_from_mesh.transform_point3(p.as_dvec3()) - from).as_vec3().to_array();
+            embree::Mesh { positions: mesh.positions.iter().map(place).collect(), triangles: mesh.triangles.clone() }
+        })
+        .collect()
 }
 
 /// A receiver with the light samples above its horizon.
@@ -110,7 +108,7 @@ impl Rays {
             let sampler = Sampler::new(Pattern::Sobol, SAMPLES, number as u32, 0);
             let magnitude =
                 emitter.center.abs() + emitter.half_u.abs() + emitter.half_v.abs() + receiver.position.abs();
-            let origin_f32 = embree_origin(receiver);
+            let origin_f32 = embree_origin(receiver, DVec3::ZERO);
             let origin_moved = glam::Vec3::from(origin_f32).as_dvec3();
             let first = rays.to_light.len();
             for index in 0..SAMPLES {
@@ -151,9 +149,11 @@ impl Rays {
 /// relative to their length: eight units in the last place of `f32`.
 pub const EMBREE_OFFSET: f64 = 1.0 / 1_048_576.0;
 
-fn embree_origin(receiver: &Receiver) -> [f32; 3] {
-    let offset = EMBREE_OFFSET * receiver.position.abs().max_element();
-    (receiver.position + offset * receiver.normal).as_vec3().to_array()
+/// Where Embree's rays start, relative to the place that its scene is relative to.
+pub fn embree_origin(receiver: &Receiver, from: DVec3) -> [f32; 3] {
+    let position = receiver.position - from;
+    let offset = EMBREE_OFFSET * position.abs().max_element();
+    (position + offset * receiver.normal).as_vec3().to_array()
 }
 
 /// What the camera sees.

@@ -7,14 +7,10 @@
 //! ROBUST, medium quality and single rays (`rtcOccluded1`); its rays start a small step off the surface and end just before
 //! the light (see `cases::EMBREE_OFFSET`), where ours start on it and leave out the receiver's triangle.
 
-mod cases;
-mod check;
-mod embree;
-
 use std::path::{Path, PathBuf};
 use std::process::Command;
-use std::time::Instant;
 
+use glam::DVec3;
 use penumbra::geometry::bvh::{SceneBvh, Scratch};
 use penumbra::progress::Progress;
 use penumbra::techniques::rays::Rays as RaysTechnique;
@@ -22,16 +18,16 @@ use penumbra::techniques::{Frame, Technique};
 use rayon::prelude::*;
 use serde_json::{Value, json};
 
-use cases::{Case, LIGHTS, Rays, SAMPLES, SCENES, SIZE};
-use embree::Embree;
+use bench_rays::cases::{self, Case, LIGHTS, Rays, SAMPLES, SCENES, SIZE};
+use bench_rays::embree::Embree;
+use bench_rays::machine::{cpu_name, process_seconds, timed};
+use bench_rays::{Outcome, check};
 
 /// Alternating rounds a light.
 const ROUNDS: usize = 7;
 
 /// Receivers that a thread takes at once.
 const CHUNK: usize = 1024;
-
-type Outcome<T> = Result<T, Box<dyn std::error::Error>>;
 
 fn main() -> Outcome<()> {
     let arguments: Vec<String> = std::env::args().skip(1).collect();
@@ -68,7 +64,7 @@ fn measure(name: &str, path: &Path, embree: &Embree, penumbra: &Path) -> Outcome
     // Best of five: a build takes tens of milliseconds, in which a busy machine shows most.
     let mut build_ms = f64::INFINITY;
     let mut embree_build_ms = f64::INFINITY;
-    let meshes = flatten(&case);
+    let meshes = cases::flatten(&case.scene, DVec3::ZERO);
     for _ in 0..5 {
         build_ms = build_ms.min(timed(|| build(&case)).1);
         embree_build_ms = embree_build_ms.min(timed(|| embree.build(&meshes)).1);
@@ -124,11 +120,11 @@ fn measure(name: &str, path: &Path, embree: &Embree, penumbra: &Path) -> Outcome
         let count = rays.to_light.len() as f64;
         let technique = RaysTechnique { samples: SAMPLES, ..RaysTechnique::default() };
         for _ in 0..ROUNDS {
-            let our_cpu = cpu_seconds();
+            let our_cpu = process_seconds();
             let ((), our_ms) = timed(|| ours(&mut our_results));
-            let their_cpu = cpu_seconds();
+            let their_cpu = process_seconds();
             let ((), their_ms) = timed(|| theirs(&mut their_results));
-            let end_cpu = cpu_seconds();
+            let end_cpu = process_seconds();
             a.push(count / our_ms / 1e3);
             b.push(count / their_ms / 1e3);
             ratios.push(their_ms / our_ms);
@@ -177,20 +173,6 @@ fn build(case: &Case) -> SceneBvh<'_> {
     let mut bvh = SceneBvh::new(&case.scene);
     bvh.add(|_| true);
     bvh
-}
-
-/// Each instance in scene space, rounded to `f32`.
-fn flatten(case: &Case) -> Vec<embree::Mesh> {
-    let scene = &case.scene;
-    scene
-        .instances
-        .par_iter()
-        .map(|instance| {
-            let mesh = &scene.meshes[instance.mesh];
-            let place = |p: &glam::Vec3| instance.scene_from_mesh.transform_point3(p.as_dvec3()).as_vec3().to_array();
-            embree::Mesh { positions: mesh.positions.iter().map(place).collect(), triangles: mesh.triangles.clone() }
-        })
-        .collect()
 }
 
 /// Traces all rays on the thread pool.
@@ -249,20 +231,6 @@ fn render_process(penumbra: &Path, scene: &Path) -> Outcome<RenderProcess> {
     })
 }
 
-fn timed<T>(work: impl FnOnce() -> T) -> (T, f64) {
-    let start = Instant::now();
-    let result = work();
-    (result, 1e3 * start.elapsed().as_secs_f64())
-}
-
-/// Processor time of this process, all threads.
-fn cpu_seconds() -> f64 {
-    let mut time = libc::timespec { tv_sec: 0, tv_nsec: 0 };
-    // SAFETY: the pointer is valid, the clock exists on all systems that Embree's wheel runs on.
-    unsafe { libc::clock_gettime(libc::CLOCK_PROCESS_CPUTIME_ID, &raw mut time) };
-    time.tv_sec as f64 + 1e-9 * time.tv_nsec as f64
-}
-
 /// Median and quartiles.
 struct Quartiles {
     low: f64,
@@ -281,10 +249,4 @@ impl Quartiles {
     fn to_json(&self) -> Value {
         json!({"median": self.median, "quartiles": [self.low, self.high]})
     }
-}
-
-fn cpu_name() -> String {
-    let text = std::fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
-    let line = text.lines().find(|line| line.starts_with("model name"));
-    line.and_then(|line| line.split_once(':')).map_or("unknown processor".into(), |(_, name)| name.trim().into())
 }

@@ -107,7 +107,7 @@ pub const NONE: u32 = u32::MAX;
 #[derive(Debug, Default)]
 pub struct Stack {
     /// The first so many entries count that the traversal says.
-    any: Vec<u32>,
+    pub(super) any: Vec<u32>,
     /// With a lower bound of where.
     nearest: Vec<(u32, f32)>,
 }

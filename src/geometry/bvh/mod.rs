@@ -5,6 +5,7 @@
 //! relative to its lowest corner, by [`crate::geometry::triangle`].
 
 mod kernel;
+mod pyramid;
 pub mod wide;
 
 use glam::{DAffine3, DMat3, DVec2, DVec3};
@@ -14,6 +15,7 @@ use rayon::prelude::*;
 use super::triangle::{Crossing, Segment, crossing};
 use crate::scene::{Bounds, Camera, Instance, Mesh, Scene};
 use kernel::{NONE, Ray, Stack, exponent_of, power_of_two};
+pub use pyramid::Plane;
 use wide::{Leaf, Tree, WIDTH};
 
 /// Reusable memory of queries, one a thread.
@@ -221,7 +223,6 @@ impl<'a> SceneBvh<'a> {
     /// Whether an instance that `blocks` admits blocks the open segment from the receiver to the light point.
     pub fn is_blocked(&self, ray: &ShadowRay, scratch: &mut Scratch, blocks: impl Fn(u32) -> bool) -> bool {
         let t_max = if ray.distant { f64::INFINITY } else { 1.0 };
-        let end_error = (!ray.distant).then_some(ray.light_error);
         let Scratch { top, group: group_stack } = scratch;
         self.any_entry(ray.origin, ray.to_light, t_max, top, |entry| {
             let group = &self.groups[entry.group as usize];
@@ -232,11 +233,25 @@ impl<'a> SceneBvh<'a> {
                 if !blocks(instance) {
                     return false;
                 }
-                let frame = &self.frames[instance as usize];
-                let segment = frame.segment(ray.origin, ray.origin_error, ray.to_light, end_error);
-                self.solid_crossing(frame, instance, triangle, &segment).is_some()
+                let segment = self.segment(instance, ray);
+                self.solid_crossing(instance, triangle, &segment).is_some()
             })
         })
+    }
+
+    /// A shadow ray in the space of an instance's mesh, relative to the mesh's lowest corner.
+    #[inline]
+    pub fn segment(&self, instance: u32, ray: &ShadowRay) -> Segment {
+        let end_error = (!ray.distant).then_some(ray.light_error);
+        self.frames[instance as usize].segment(ray.origin, ray.origin_error, ray.to_light, end_error)
+    }
+
+    /// The corners of an instance's triangle in its mesh's space, relative to the mesh's lowest corner.
+    #[inline]
+    pub fn corners(&self, instance: u32, triangle: u32) -> [DVec3; 3] {
+        let mesh = &self.scene.meshes[self.scene.instances[instance as usize].mesh];
+        let anchor = self.frames[instance as usize].anchor_mesh;
+        mesh.corners(triangle as usize).map(|corner| corner - anchor)
     }
 
     /// The first surface along `origin + t · direction` for `t` in `[t_min, t_max]`; equal distances go to the lowest
@@ -259,7 +274,7 @@ impl<'a> SceneBvh<'a> {
                 let (instance, triangle) = group.locate(entry, primitive);
                 let frame = &self.frames[instance as usize];
                 let segment = frame.segment(origin, 0.0, direction, None);
-                let crossing = self.solid_crossing(frame, instance, triangle, &segment)?;
+                let crossing = self.solid_crossing(instance, triangle, &segment)?;
                 let key = (crossing.t, instance, triangle);
                 let nearer = best.is_none_or(|hit| key < (hit.crossing.t, hit.instance, hit.triangle));
                 (nearer && crossing.t >= t_min && crossing.t <= t_max).then(|| {
@@ -347,10 +362,9 @@ impl<'a> SceneBvh<'a> {
         }
     }
 
-    fn solid_crossing(&self, frame: &Frame, instance: u32, triangle: u32, segment: &Segment) -> Option<Crossing> {
+    fn solid_crossing(&self, instance: u32, triangle: u32, segment: &Segment) -> Option<Crossing> {
+        let crossing = crossing(segment, self.corners(instance, triangle))?;
         let mesh = &self.scene.meshes[self.scene.instances[instance as usize].mesh];
-        let corners = mesh.corners(triangle as usize).map(|corner| corner - frame.anchor_mesh);
-        let crossing = crossing(segment, corners)?;
         let cutout = mesh.material.and_then(|material| self.scene.materials[material].cutout.as_ref());
         match cutout {
             Some(cutout) if !cutout.is_solid(mesh.uv_at(triangle as usize, crossing.barycentric)) => None,
