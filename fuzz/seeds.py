@@ -50,7 +50,8 @@ def png(size: int) -> bytes:
 
 
 def everything() -> bytes:
-    """A quad in all ways: sparse, quantized, strip, fan, instanced, cut out, emissive; every light; both cameras."""
+    """A quad in all ways: sparse, quantized, strip, fan, instanced, cut out, emissive, skinned, morphed, animated in every way;
+    every light; both cameras."""
     data = b""
     views, accessors = [], []
 
@@ -85,6 +86,16 @@ def everything() -> bytes:
     rotations = accessor(view(struct.pack("<8b", 0, 0, 0, 127, 0, 127, 0, 0)), 5120, 2, "VEC4", normalized=True)
     scales = accessor(view(struct.pack("<6f", 1, 1, 1, 2, 2, 2)), 5126, 2, "VEC3")
     image = view(png(4))
+    joints = accessor(view(bytes([0, 1, 0, 0] * 4)), 5121, 4, "VEC4")
+    weights = accessor(view(struct.pack("<16H", *[40000, 20000, 0, 0] * 4)), 5123, 4, "VEC4", normalized=True)
+    more_weights = accessor(view(struct.pack("<16f", *[0.25, 0.5, 0, 0] * 4)), 5126, 4, "VEC4")
+    matrices = accessor(view(struct.pack("<32f", *[1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 1, 2, 3, 1] * 2)), 5126, 2, "MAT4")
+    accessors.append({"componentType": 5126, "count": 4, "type": "VEC3", "sparse": accessors[moved]["sparse"]})
+    displacements = len(accessors) - 1
+    times = accessor(view(struct.pack("<2f", 0.5, 2)), 5126, 2, "SCALAR")
+    turns = accessor(view(struct.pack("<8h", 0, 0, 0, 32767, 0, 32767, 0, 0)), 5122, 2, "VEC4", normalized=True)
+    moves = accessor(view(struct.pack("<18f", *range(18))), 5126, 6, "VEC3")
+    shapes = accessor(view(bytes([0, 255, 128, 0])), 5121, 4, "SCALAR", normalized=True)
 
     def mesh(index: int, *primitives: dict) -> dict:
         return {"name": f"mesh {index}", "primitives": list(primitives)}
@@ -116,6 +127,11 @@ def everything() -> bytes:
         {"extensions": {"EXT_lights_area": {"light": 0}}},
         {"extensions": {"EXT_lights_area": {"light": 1}, "PENUMBRA_lights": {"version": 1, **lights[1]}}},
     ]
+    nodes += [
+        {"name": "skinned", "mesh": 3, "skin": 0, "weights": [0.5, 0.25]},
+        {"name": "joint", "translation": [0, 0, 1]},
+    ]
+    skinned = len(nodes) - 2
     nodes += [{"extensions": {"KHR_lights_punctual": {"light": i}}, "extras": {"radius": 0.2}} for i in range(3)]
     nodes += [{"name": "light", "extensions": {"PENUMBRA_lights": {"version": 1, **light}}} for light in lights]
     document = {
@@ -150,6 +166,37 @@ def everything() -> bytes:
             ),
             mesh(1, {"attributes": base, "indices": indices, "material": 1}),
             mesh(2, {"attributes": {"POSITION": positions}, "indices": indices, "material": 2}),
+            mesh(
+                3,
+                {
+                    "attributes": {
+                        **base,
+                        "JOINTS_0": joints,
+                        "WEIGHTS_0": weights,
+                        "JOINTS_1": joints,
+                        "WEIGHTS_1": more_weights,
+                    },
+                    "indices": indices,
+                    "targets": [{"POSITION": displacements, "NORMAL": normals}, {"POSITION": positions}],
+                },
+            ),
+        ],
+        "skins": [{"joints": [skinned + 1, 3], "inverseBindMatrices": matrices, "skeleton": skinned + 1}],
+        "animations": [
+            {
+                "name": "all",
+                "channels": [
+                    {"sampler": 0, "target": {"node": skinned + 1, "path": "rotation"}},
+                    {"sampler": 1, "target": {"node": 0, "path": "translation"}},
+                    {"sampler": 1, "target": {"node": 3, "path": "scale"}},
+                    {"sampler": 2, "target": {"node": skinned, "path": "weights"}},
+                ],
+                "samplers": [
+                    {"input": times, "output": turns},
+                    {"input": times, "output": moves, "interpolation": "CUBICSPLINE"},
+                    {"input": times, "output": shapes, "interpolation": "STEP"},
+                ],
+            }
         ],
         "materials": [
             {

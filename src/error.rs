@@ -59,6 +59,9 @@ pub enum Error {
         /// What the scene does have.
         found: String,
     },
+    /// There is no GPU, or it can't do what is asked.
+    #[error("GPU: {0}")]
+    Gpu(String),
     /// The user asked to stop.
     #[error("cancelled")]
     Cancelled,

@@ -9,10 +9,12 @@
 //!
 //! Units are SI, colours linear Rec. 709. Spaces are named in [`scene`].
 
+pub mod bench;
 pub mod cli;
 pub mod closed_forms;
 pub mod error;
 pub mod geometry;
+pub mod gpu;
 pub mod image;
 pub mod metrics;
 pub mod output;

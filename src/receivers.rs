@@ -4,7 +4,7 @@ use glam::{DVec2, DVec3};
 use rayon::prelude::*;
 
 use crate::Result;
-use crate::geometry::bvh::{SceneBvh, Scratch};
+use crate::geometry::bvh::{Hit, SceneBvh, Scratch};
 use crate::progress::Progress;
 use crate::scene::camera::CameraRay;
 use crate::scene::{Bounds, Camera};
@@ -87,10 +87,22 @@ pub fn toward(shading_normal: DVec3, normal: DVec3) -> DVec3 {
 
 fn receiver_at(bvh: &SceneBvh, camera: &Camera, ray: CameraRay, scratch: &mut Scratch) -> Option<Receiver> {
     let hit = bvh.first_hit(ray.origin, ray.direction, camera.near, camera.far, scratch)?;
+    Some(receiver_of(bvh, ray, &hit))
+}
+
+/// The receiver where a camera ray meets the plane of a triangle that it is known to see, to within rounding at its edges; none
+/// beyond the camera's range.
+pub fn receiver_on(bvh: &SceneBvh, camera: &Camera, ray: CameraRay, instance: u32, triangle: u32) -> Option<Receiver> {
+    let crossing = bvh.plane_crossing(instance, triangle, ray.origin, ray.direction)?;
+    let is_in_range = crossing.t >= camera.near && crossing.t <= camera.far;
+    is_in_range.then(|| receiver_of(bvh, ray, &Hit { instance, triangle, crossing }))
+}
+
+fn receiver_of(bvh: &SceneBvh, ray: CameraRay, hit: &Hit) -> Receiver {
     let point = bvh.surface_point(hit.instance, hit.triangle, hit.crossing.barycentric);
     let normal = if point.normal.dot(ray.direction) > 0.0 { -point.normal } else { point.normal };
     let shading_normal = bvh.shading_normal(hit.instance, hit.triangle, hit.crossing.barycentric).unwrap_or(normal);
-    Some(Receiver {
+    Receiver {
         position: point.position,
         position_error: point.error,
         normal,
@@ -99,5 +111,5 @@ fn receiver_at(bvh: &SceneBvh, camera: &Camera, ray: CameraRay, scratch: &mut Sc
         instance: hit.instance,
         triangle: hit.triangle,
         barycentric: hit.crossing.barycentric.map(|weight| weight as f32),
-    })
+    }
 }

@@ -7,11 +7,13 @@ use rayon::prelude::*;
 
 use crate::geometry::bvh::{SceneBvh, is_out_of_view};
 use crate::geometry::shaft::{Shaft, light_bounds};
+use crate::gpu::scene::SceneBuffers;
+use crate::gpu::{Adapter, Gpu, gbuffer};
 use crate::progress::{Progress, ms_since};
 use crate::receivers::{Receiver, Receivers};
 use crate::reference::verify::{self, Verified};
 use crate::scene::{AreaLight, Bounds, Camera, Scene, Shape};
-use crate::techniques::{Frame, LightImage, Technique};
+use crate::techniques::{Frame, LightImage, Pass, Technique, add_passes};
 use crate::{Error, Result};
 
 /// What is asked for.
@@ -57,8 +59,14 @@ pub struct Rendering {
     pub verified: Vec<Verified>,
     /// What it took.
     pub counters: Counters,
-    /// Building receivers and hierarchies, ms.
+    /// What the technique ran on.
+    pub adapter: Adapter,
+    /// Memory of the GPU that was held at most, bytes.
+    pub gpu_bytes: u64,
+    /// Building receivers and hierarchies or, on a GPU, its buffers, ms.
     pub build_ms: f64,
+    /// The passes of it that a GPU timed.
+    pub build_passes: Vec<Pass>,
     /// The technique, ms.
     pub render_ms: f64,
     /// The exact answers that the image was held against, ms.
@@ -86,7 +94,7 @@ pub fn render(
     let verify_steps = lights * request.verify.map_or(0, verify::steps);
     progress.begin(rows * u64::from(1 + passes) * (1 + lights) + verify_steps);
 
-    let mut view = View::new(scene, camera, request.size);
+    let mut view = View::new(scene, camera, request.size, technique.gpu())?;
     let receivers = view.receivers(DVec2::splat(0.5), progress)?;
     // With one receiver a pixel, the centre serves both quantities.
     let at_centers = passes <= 1;
@@ -125,6 +133,7 @@ pub fn render(
     let verify_start = Instant::now();
     let mut verified = Vec::new();
     if let Some(count) = request.verify {
+        view.add_blockers(&view.reaching(&receivers.bounds()), &receivers.bounds());
         for pair in scene.lights.iter().zip(&lights) {
             verified.push(verify::verify(scene, &view.bvh, &receivers, pair, count, progress)?);
         }
@@ -149,7 +158,7 @@ pub fn render_receivers(
     }
     check_memory(scene, receivers.pixels.len() as u64)?;
     progress.begin(u64::from(receivers.size[1]) * scene.lights.len() as u64);
-    let mut view = View::without_camera(scene);
+    let mut view = View::without_camera(scene, technique.gpu())?;
     let lights = view.lights(&receivers, technique, irradiance, progress)?;
     Ok(view.finish(receivers, lights))
 }
@@ -171,7 +180,7 @@ fn check_memory(scene: &Scene, pixels: u64) -> Result<()> {
 }
 
 /// The error for a scene without light.
-fn no_light(scene: &Scene) -> Error {
+pub fn no_light(scene: &Scene) -> Error {
     let found = format!(
         "{} triangles, {} instances, {} cameras",
         scene.triangle_count(),
@@ -181,43 +190,70 @@ fn no_light(scene: &Scene) -> Error {
     Error::NoLight { scene: scene.name.clone(), found }
 }
 
-/// A scene with the hierarchy that its view needs so far.
+/// A scene with the hierarchy that its view needs so far, or as a GPU holds it.
 struct View<'a> {
     scene: &'a Scene,
     camera: Option<(&'a Camera, [u32; 2])>,
+    gpu: Option<(&'a Gpu, SceneBuffers)>,
     bvh: SceneBvh<'a>,
     counters: Counters,
     build_ms: f64,
+    build_passes: Vec<Pass>,
     render_ms: f64,
 }
 
 impl<'a> View<'a> {
-    fn new(scene: &'a Scene, camera: &'a Camera, size: [u32; 2]) -> Self {
-        let start = Instant::now();
-        let mut view = Self { camera: Some((camera, size)), ..Self::without_camera(scene) };
-        let bounds: Vec<Bounds> = (0..scene.instances.len()).map(|i| view.bvh.instance_bounds(i)).collect();
-        view.bvh.add(|i| !is_out_of_view(&bounds[i], camera, size));
-        view.build_ms = ms_since(start);
-        view
+    fn new(scene: &'a Scene, camera: &'a Camera, size: [u32; 2], gpu: Option<&'a Gpu>) -> Result<Self> {
+        let mut view = Self { camera: Some((camera, size)), ..Self::without_camera(scene, gpu)? };
+        if gpu.is_none() {
+            let start = Instant::now();
+            let bounds: Vec<Bounds> = (0..scene.instances.len()).map(|i| view.bvh.instance_bounds(i)).collect();
+            view.bvh.add(|i| !is_out_of_view(&bounds[i], camera, size));
+            view.build_ms += ms_since(start);
+        }
+        Ok(view)
     }
 
-    fn without_camera(scene: &'a Scene) -> Self {
+    fn without_camera(scene: &'a Scene, gpu: Option<&'a Gpu>) -> Result<Self> {
+        let start = Instant::now();
         let bvh = SceneBvh::new(scene);
-        Self { scene, camera: None, bvh, counters: Counters::default(), build_ms: 0.0, render_ms: 0.0 }
+        let gpu = gpu.map(|gpu| Ok::<_, Error>((gpu, SceneBuffers::new(gpu, scene)?))).transpose()?;
+        let (counters, build_passes) = (Counters::default(), Vec::new());
+        Ok(Self { scene, camera: None, gpu, bvh, counters, build_ms: ms_since(start), build_passes, render_ms: 0.0 })
     }
 
     fn finish(self, receivers: Receivers, lights: Vec<LightImage>) -> Rendering {
-        let Self { mut counters, build_ms, render_ms, bvh, .. } = self;
+        let Self { mut counters, build_ms, build_passes, render_ms, bvh, gpu, .. } = self;
         counters.stored_triangles = bvh.stored_triangles;
         counters.hierarchy_bytes = bvh.bytes() as u64;
-        let (shaded, verified, verify_ms) = (Vec::new(), Vec::new(), 0.0);
-        Rendering { receivers, lights, shaded, verified, counters, build_ms, render_ms, verify_ms }
+        Rendering {
+            receivers,
+            lights,
+            shaded: Vec::new(),
+            verified: Vec::new(),
+            counters,
+            adapter: gpu.as_ref().map_or_else(Adapter::cpu, |(gpu, _)| gpu.adapter.clone()),
+            gpu_bytes: gpu.as_ref().map_or(0, |(gpu, _)| gpu.peak_bytes()),
+            build_ms,
+            build_passes,
+            render_ms,
+            verify_ms: 0.0,
+        }
     }
 
     fn receivers(&mut self, offset_px: DVec2, progress: &Progress) -> Result<Receivers> {
         let start = Instant::now();
         let (camera, size) = self.camera.expect("receivers come from a camera");
-        let receivers = Receivers::find(&self.bvh, camera, size, offset_px, progress)?;
+        let receivers = match &self.gpu {
+            None => Receivers::find(&self.bvh, camera, size, offset_px, progress)?,
+            Some((gpu, buffers)) => {
+                let (receivers, passes) =
+                    gbuffer::receivers(gpu, (self.scene, buffers, &self.bvh), camera, size, offset_px)?;
+                add_passes(&mut self.build_passes, passes);
+                progress.advance(u64::from(size[1]))?;
+                receivers
+            }
+        };
         self.build_ms += ms_since(start);
         Ok(receivers)
     }
@@ -230,8 +266,10 @@ impl<'a> View<'a> {
         progress: &Progress,
     ) -> Result<Vec<LightImage>> {
         let receiver_bounds = receivers.bounds();
-        let reaching: Vec<bool> = self.scene.lights.iter().map(|light| reaches_any(light, &receiver_bounds)).collect();
-        self.add_blockers(&reaching, &receiver_bounds);
+        let reaching = self.reaching(&receiver_bounds);
+        if self.gpu.is_none() {
+            self.add_blockers(&reaching, &receiver_bounds);
+        }
         let mut images = Vec::with_capacity(reaching.len());
         for (light, reaches) in self.scene.lights.iter().zip(reaching) {
             if !reaches {
@@ -241,7 +279,8 @@ impl<'a> View<'a> {
                 continue;
             }
             let start = Instant::now();
-            let frame = Frame { scene: self.scene, bvh: &self.bvh, receivers, irradiance, progress };
+            let buffers = self.gpu.as_ref().map(|(_, buffers)| buffers);
+            let frame = Frame { scene: self.scene, bvh: &self.bvh, receivers, irradiance, progress, buffers };
             let image = technique.render(&frame, light)?;
             self.render_ms += ms_since(start);
             self.counters.lights_traced += 1;
@@ -249,6 +288,11 @@ impl<'a> View<'a> {
             images.push(image);
         }
         Ok(images)
+    }
+
+    /// Which lights may reach receivers within bounds.
+    fn reaching(&self, receiver_bounds: &Bounds) -> Vec<bool> {
+        self.scene.lights.iter().map(|light| reaches_any(light, receiver_bounds)).collect()
     }
 
     /// Adds what lies between the receivers and the lights that reach them.

@@ -24,6 +24,18 @@ pub enum Pattern {
     Sobol,
 }
 
+impl Pattern {
+    /// Its number in `lib/sampling.wgsl`.
+    pub fn on_gpu(self) -> u32 {
+        match self {
+            Self::Grid => 0,
+            Self::Jittered => 1,
+            Self::Halton => 2,
+            Self::Sobol => 3,
+        }
+    }
+}
+
 /// The samples of one receiver.
 #[derive(Debug, Clone, Copy)]
 pub struct Sampler {

@@ -8,6 +8,7 @@ use std::time::{Duration, Instant};
 
 use assert_cmd::cargo::CommandCargoExt;
 use penumbra::image::{read_exr, write_exr};
+use penumbra::techniques::{ALL, Needs};
 use serde_json::Value;
 
 fn penumbra(arguments: &[&str], directory: &Path) -> Output {
@@ -249,7 +250,6 @@ fn wrong_usage_is_told_in_one_line() {
     fail(&render(&["--device", "gpu"]), 2, "processor");
     fail(&render(&["--aa", "2"]), 2, "pixel centres");
     fail(&render(&["--verify", "0"]), 2, "--verify");
-    fail(&render(&["--frames", "1-10"]), 2, "not supported yet");
     fail(&render(&["--max-error", "0.01"]), 2, "no technique `auto` yet");
     fail(&["render", "procedural:square", "-o", "out.jpg"], 2, ".exr or .png");
     fail(&["render", "procedural:square", "-o", "out.png", "--quantity", "irradiance"], 2, ".exr");
@@ -492,4 +492,29 @@ fn ctrl_c_stops_within_a_second_and_leaves_nothing() {
     assert_eq!(output.status.code(), Some(1));
     assert!(String::from_utf8_lossy(&output.stderr).contains("error: cancelled"));
     assert_eq!(std::fs::read_dir(directory.path()).expect("a directory").count(), 0);
+}
+
+#[test]
+fn what_needs_no_gpu_works_without_a_driver() {
+    let directory = tempfile::tempdir().expect("a directory");
+    let run = |arguments: &[&str]| {
+        let nothing = "/nonexistent/driver.json";
+        let mut command = command(arguments, directory.path());
+        command.envs([("VK_ICD_FILENAMES", nothing), ("VK_DRIVER_FILES", nothing)]).output().expect("runs")
+    };
+    let listed = run(&["list"]);
+    assert!(listed.status.success());
+    let render = ["render", "procedural:square", "--size", "8x6", "-o", "out.exr", "--technique"];
+    for entry in ALL {
+        assert!(String::from_utf8_lossy(&listed.stdout).contains(&format!("\n{} - ", entry.name)), "{}", entry.name);
+        let rendered = run(&[render.as_slice(), &[entry.name]].concat());
+        let errors = String::from_utf8_lossy(&rendered.stderr);
+        match entry.needs {
+            Needs::Cpu => assert!(rendered.status.success(), "{}: {errors}", entry.name),
+            Needs::Gpu => {
+                assert_eq!(rendered.status.code(), Some(1), "{}: {errors}", entry.name);
+                assert!(errors.contains("error: GPU: "), "{}: {errors}", entry.name);
+            }
+        }
+    }
 }

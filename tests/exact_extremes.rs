@@ -19,17 +19,6 @@ use penumbra::reference::exact::Answer;
 use penumbra::scene::camera::{Camera, Projection, look_at};
 use penumbra::scene::{AreaLight, Mesh, Scene, Shape};
 
-/// Points along x on the floor, off any symmetry of the scenes.
-fn line(from: f64, to: f64, count: usize) -> Vec<DVec3> {
-    let x = |i: usize| from + (to - from) * (i as f64 + 0.5) / count as f64;
-    (0..count).map(|i| DVec3::new(x(i), 0.0, 0.0137)).collect()
-}
-
-/// A square of half side ½ at height 2, and a light.
-fn square_under(light: AreaLight) -> Scene {
-    scene(vec![mesh(&quad([-0.5, 0.5], 2.0, [-0.5, 0.5]))], vec![light])
-}
-
 /// The answers of a scene's first light.
 fn answers(scene: &Scene, positions: &[DVec3], normal: DVec3) -> Vec<Answer> {
     exact(scene, &receivers(scene, positions, normal)).swap_remove(0)

@@ -8,45 +8,8 @@ use common::*;
 use glam::{DAffine3, DMat3, DVec2, DVec3, Vec3};
 use penumbra::geometry::irradiance::unshadowed;
 use penumbra::sampling::Pattern;
-use penumbra::scene::{AreaLight, Mesh, Scene, Shape};
+use penumbra::scene::{AreaLight, Mesh, Shape};
 use penumbra::techniques::LightImage;
-
-/// Points along x on the floor, off any symmetry of the scenes.
-fn line(from: f64, to: f64, count: usize) -> Vec<DVec3> {
-    let x = |i: usize| from + (to - from) * (i as f64 + 0.5) / count as f64;
-    (0..count).map(|i| DVec3::new(x(i), 0.0, 0.0137)).collect()
-}
-
-/// A square of half side ½ at height 2, and a light.
-fn square_under(light: AreaLight) -> Scene {
-    scene(vec![mesh(&quad([-0.5, 0.5], 2.0, [-0.5, 0.5]))], vec![light])
-}
-
-/// An uneven surface of many small triangles over a floor, with everything that lights it.
-fn bumpy(lights: Vec<AreaLight>) -> Scene {
-    let mut triangles = Vec::new();
-    let height = |i: i32, j: i32| 1.0 + 0.25 * ((i * 7 + j * 13) % 11) as f32 / 11.0;
-    for i in -6..6 {
-        for j in -6..6 {
-            if (i + j) % 3 == 0 {
-                continue;
-            }
-            let at = |i: i32, j: i32| [i as f32 * 0.125, height(i, j), j as f32 * 0.125];
-            triangles.push([at(i, j), at(i + 1, j), at(i, j + 1)]);
-            triangles.push([at(i + 1, j), at(i + 1, j + 1), at(i, j + 1)]);
-        }
-    }
-    scene(vec![mesh(&triangles), mesh(&quad([-4.0, 4.0], 0.0, [-4.0, 4.0]))], lights)
-}
-
-fn same_bits(a: &[LightImage], b: &[LightImage]) {
-    assert_eq!(a.len(), b.len());
-    for (i, (a, b)) in a.iter().zip(b).enumerate() {
-        let bits = |image: &LightImage| image.visibility.iter().map(|v| v.to_bits()).collect::<Vec<_>>();
-        assert_eq!(bits(a), bits(b), "visibility of light {i}");
-        assert_eq!(a.facing, b.facing, "facing of light {i}");
-    }
-}
 
 #[test]
 fn a_light_of_no_size_casts_the_hard_shadow() {
@@ -148,7 +111,7 @@ fn visibility_does_not_change_with_scale() {
         let factor = 2f64.powi(exponent);
         let moved: Vec<DVec3> = points.iter().map(|&point| point * factor).collect();
         let rescaled = trace(&scaled(&scene, factor), &moved, &rays(Pattern::Sobol, 64));
-        same_bits(&found.lights, &rescaled.lights);
+        same_bits("rays", &found.lights, &rescaled.lights);
         // Area lights keep their irradiance.
         for light in 0..6 {
             assert_eq!(
@@ -176,7 +139,7 @@ fn a_shift_that_keeps_coordinates_exact_keeps_every_bit() {
     };
     let found = at(Vec3::ZERO);
     for shift in [Vec3::new(1e5, -7e4, 3e4), Vec3::new(-65_536.25, 131_072.5, 0.0)] {
-        same_bits(&found.lights, &at(shift).lights);
+        same_bits("rays", &found.lights, &at(shift).lights);
     }
 }
 
@@ -286,10 +249,10 @@ fn a_scene_laid_over_itself_changes_nothing() {
     let points = line(-1.5, 1.5, 200);
     let found = trace(&once, &points, &rays(Pattern::Sobol, 64));
     let twice = scene(once.meshes.iter().chain(&once.meshes).cloned().collect(), lights_of_every_shape());
-    same_bits(&found.lights, &trace(&twice, &points, &rays(Pattern::Sobol, 64)).lights);
+    same_bits("rays", &found.lights, &trace(&twice, &points, &rays(Pattern::Sobol, 64)).lights);
     let mut instanced = once.clone();
     instanced.instances.extend(once.instances.iter().cloned());
-    same_bits(&found.lights, &trace(&instanced, &points, &rays(Pattern::Sobol, 64)).lights);
+    same_bits("rays", &found.lights, &trace(&instanced, &points, &rays(Pattern::Sobol, 64)).lights);
 }
 
 #[test]
@@ -304,7 +267,7 @@ fn the_order_of_triangles_and_corners_does_not_matter() {
             (*a, *b, *c) = if i % 2 == 0 { (*b, *c, *a) } else { (*c, *b, *a) };
         }
     }
-    same_bits(&found.lights, &trace(&permuted, &points, &rays(Pattern::Sobol, 64)).lights);
+    same_bits("rays", &found.lights, &trace(&permuted, &points, &rays(Pattern::Sobol, 64)).lights);
 }
 
 #[test]

@@ -1,4 +1,5 @@
-//! The glTF loader on any bytes: it never panics, hangs or takes memory beyond its bounds, and what it returns is sound.
+//! The glTF loader on any bytes: it never panics, hangs or takes memory beyond its bounds, and what it returns is sound; so are
+//! the poses of its animations.
 //!
 //! Half of the mutations are of bytes, half of the JSON's values, so that most inputs get past the JSON parser.
 
@@ -11,6 +12,16 @@ use serde_json::{Value, json};
 fuzz_target!(|data: &[u8]| {
     if let Ok(scene) = gltf::load_slice(data, None, "fuzz", LoadOptions { base_color_textures: true }) {
         assert_sound(&scene);
+    }
+    if let Ok(animated) = gltf::load_animated_slice(data, None, "fuzz", LoadOptions::default()) {
+        // Each clip before its start, within it, and beyond its end.
+        for (index, clip) in animated.clips.iter().enumerate().take(4) {
+            for seconds in [-1.0, 0.6 * clip.start() + 0.4 * clip.end(), 2.0 * clip.end()] {
+                if let Ok(scene) = animated.pose(index, seconds) {
+                    assert_sound(&scene);
+                }
+            }
+        }
     }
 });
 
@@ -126,8 +137,12 @@ fn mutate(root: &mut Value, random: &mut Random) {
                 "a.bin",
                 "data:;base64,AAAA",
                 "",
-                "\n"
-            ][random.below(10)]
+                "\n",
+                "CUBICSPLINE",
+                "STEP",
+                "rotation",
+                "weights"
+            ][random.below(14)]
         ),
         6 => match target.take() {
             Value::Array(mut items) => {
@@ -174,7 +189,7 @@ const NUMBERS: [&str; 10] =
     ["0", "1", "-1", "4294967295", "4294967296", "18446744073709551615", "1e39", "-1e300", "1e-45", "0.5"];
 
 /// Members that inputs may lack.
-const KEYS: [&str; 24] = [
+const KEYS: [&str; 33] = [
     "sparse",
     "byteStride",
     "byteOffset",
@@ -199,6 +214,15 @@ const KEYS: [&str; 24] = [
     "uri",
     "NORMAL",
     "TEXCOORD_0",
+    "targets",
+    "weights",
+    "JOINTS_0",
+    "WEIGHTS_0",
+    "joints",
+    "inverseBindMatrices",
+    "animations",
+    "interpolation",
+    "node",
 ];
 
 /// A random value of the tree.

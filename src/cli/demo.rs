@@ -17,7 +17,7 @@ use crate::progress::Progress;
 use crate::reference::exact::Exact;
 use crate::render::{Rendering, Request, render};
 use crate::scene::{Camera, Scene, procedural};
-use crate::techniques::{ALL, Technique, parse_settings};
+use crate::techniques::{ALL, Context, Entry, Needs, Technique, parse_settings};
 use crate::{Error, Result};
 
 /// Options of `demo`.
@@ -79,10 +79,13 @@ pub fn run(arguments: &Arguments, progress: &Progress) -> anyhow::Result<()> {
     });
 
     let mut text = format!("{:<34} {:>9} {:>9} {:>9}\n", "technique", "time", "RMSE", "largest");
-    for entry in ALL {
+    let context = Context::default();
+    let (shown, left_out): (Vec<&Entry>, Vec<&Entry>) =
+        ALL.iter().partition(|entry| entry.needs == Needs::Cpu || context.gpu().is_ok());
+    for entry in shown {
         for settings in entry.demo {
-            let technique = (entry.build)(&parse_settings(settings)?)?;
-            let label = format!("{} {settings}", entry.name);
+            let technique = (entry.build)(&context, &parse_settings(settings)?)?;
+            let label = format!("{} {settings}", entry.name).trim_end().to_owned();
             let start = Instant::now();
             let image = run_one(entry.name, progress, &scene, &camera, technique.as_ref(), Quantity::Visibility, 1)?;
             let time = elapsed(start);
@@ -96,6 +99,12 @@ pub fn run(arguments: &Arguments, progress: &Progress) -> anyhow::Result<()> {
             panels
                 .push(Panel { picture: picture_of(&image), caption: [label, format!("{time}, penumbra RMSE {rmse}")] });
         }
+    }
+    if !left_out.is_empty()
+        && let Err(reason) = context.gpu()
+    {
+        let names: Vec<&str> = left_out.iter().map(|entry| entry.name).collect();
+        text += &format!("left out: {}; {reason}\n", names.join(", "));
     }
     let sheet = directory.join("contact-sheet.png");
     write_png(&sheet, contact_sheet(&panels))?;

@@ -6,8 +6,9 @@ use clap::Args;
 use glam::DVec3;
 use serde::Serialize;
 
-use super::scene_options::load_scene;
+use super::scene_options::load_animated;
 use super::{print, print_json};
+use crate::scene::animation::{Clip, Property};
 use crate::scene::{AreaLight, Emission, LoadOptions, Projection, Scene, Shape};
 
 /// Options of `info`.
@@ -34,6 +35,7 @@ struct Info {
     bounds_world: Option<[DVec3; 2]>,
     lights: Vec<LightInfo>,
     cameras: Vec<CameraInfo>,
+    animations: Vec<AnimationInfo>,
     warnings: Vec<String>,
 }
 
@@ -64,14 +66,30 @@ struct CameraInfo {
     position_world: DVec3,
 }
 
+#[derive(Debug, Serialize)]
+struct AnimationInfo {
+    name: String,
+    /// Of the first key and the last.
+    start_seconds: f64,
+    end_seconds: f64,
+    channels: Vec<ChannelInfo>,
+}
+
+#[derive(Debug, Serialize)]
+struct ChannelInfo {
+    node: String,
+    property: Property,
+    keys: usize,
+}
+
 /// Runs the command.
 pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
-    let scene = load_scene(&arguments.scene, LoadOptions::default())?;
-    let info = describe(&scene);
+    let animated = load_animated(&arguments.scene, LoadOptions::default())?;
+    let info = describe(&animated.rest()?, &animated.clips);
     if arguments.json { print_json(&info) } else { print(&table(&info)) }
 }
 
-fn describe(scene: &Scene) -> Info {
+fn describe(scene: &Scene, clips: &[Clip]) -> Info {
     let bounds = scene.bounds();
     let position_world = |position: DVec3| position + scene.origin_world;
     Info {
@@ -96,8 +114,19 @@ fn describe(scene: &Scene) -> Info {
                 position_world: position_world(camera.scene_from_camera.translation),
             })
             .collect(),
+        animations: clips.iter().map(|clip| describe_clip(clip, scene)).collect(),
         warnings: scene.warnings.clone(),
     }
+}
+
+fn describe_clip(clip: &Clip, scene: &Scene) -> AnimationInfo {
+    let channels = clip.channels.iter().map(|channel| ChannelInfo {
+        node: scene.nodes[channel.node].name.clone(),
+        property: channel.property,
+        keys: channel.curve.times.len(),
+    });
+    let channels = channels.collect();
+    AnimationInfo { name: clip.name.clone(), start_seconds: clip.start(), end_seconds: clip.end(), channels }
 }
 
 fn describe_light(light: &AreaLight, origin_world: DVec3) -> LightInfo {
@@ -178,6 +207,11 @@ fn table(info: &Info) -> String {
     }
     for camera in &info.cameras {
         line("camera", format!("{}: {}, at {}", camera.name, camera.projection, vector(camera.position_world)));
+    }
+    for animation in &info.animations {
+        let AnimationInfo { name, start_seconds, end_seconds, channels } = animation;
+        let channels = if channels.len() == 1 { "1 channel".into() } else { format!("{} channels", channels.len()) };
+        line("animation", format!("{name}: {start_seconds:.4} s to {end_seconds:.4} s, {channels}"));
     }
     for warning in &info.warnings {
         line("warning", warning.clone());

@@ -23,7 +23,15 @@ struct Listed {
     paper: &'static str,
     summary: &'static str,
     needs: Needs,
+    presets: Vec<Preset>,
     parameters: Vec<Parameter>,
+}
+
+/// Settings that a technique has by name, beside its defaults.
+#[derive(Debug, Serialize)]
+struct Preset {
+    name: &'static str,
+    settings: &'static str,
 }
 
 /// Runs the command.
@@ -35,6 +43,7 @@ pub fn run(arguments: &Arguments) -> anyhow::Result<()> {
             paper: entry.paper,
             summary: entry.summary,
             needs: entry.needs,
+            presets: entry.presets.iter().map(|&(name, settings)| Preset { name, settings }).collect(),
             parameters: entry.parameters(),
         })
         .collect();
@@ -104,7 +113,14 @@ fn describe_parameters(text: &mut String, parameters: &[SceneParameter]) -> std:
 
 fn describe(text: &mut String, technique: &Listed) -> std::fmt::Result {
     writeln!(text, "{} - {}", technique.name, technique.summary)?;
-    writeln!(text, "  {}", technique.paper)?;
+    let runs_on = match technique.needs {
+        Needs::Cpu => "the processor",
+        Needs::Gpu => "a GPU",
+    };
+    writeln!(text, "  {}; runs on {runs_on}", technique.paper)?;
+    for Preset { name, settings } in &technique.presets {
+        writeln!(text, "    --preset {name}: {settings}")?;
+    }
     for parameter in &technique.parameters {
         let range = match (parameter.minimum, parameter.maximum) {
             (Some(minimum), Some(maximum)) => format!(", {minimum} to {maximum}"),

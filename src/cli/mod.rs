@@ -1,13 +1,15 @@
 //! The command line: one file a subcommand.
 
+mod bench;
 mod compare;
 mod demo;
+mod frames;
 mod info;
 mod list;
 mod reference;
 mod render;
-mod report;
-mod scene_options;
+pub(crate) mod report;
+pub(crate) mod scene_options;
 
 use std::io::Write;
 use std::process::ExitCode;
@@ -38,7 +40,8 @@ Examples:
   penumbra render scene.glb -o out.png                      the lights of a glTF scene, as visibility
   penumbra render model.glb -o out.exr --add-light auto --add-floor
   penumbra reference model.glb -o truth.exr --add-light auto --add-floor
-  penumbra compare out.exr truth.exr --heatmap error.png    how far off, in numbers and as a picture";
+  penumbra compare out.exr truth.exr --heatmap error.png    how far off, in numbers and as a picture
+  penumbra bench quick -o bench                             what each technique gives for its time";
 
 #[derive(Debug, Subcommand)]
 enum Command {
@@ -48,6 +51,8 @@ enum Command {
     Reference(reference::Arguments),
     /// Measures an image against a reference.
     Compare(compare::Arguments),
+    /// Measures what techniques give for the time they take, and writes a report.
+    Bench(bench::Arguments),
     /// Lists techniques with their parameters, and procedural scenes with theirs.
     List(list::Arguments),
     /// Shows what a scene holds.
@@ -65,6 +70,7 @@ pub fn main() -> ExitCode {
         Command::Render(arguments) => render::run(arguments, &progress),
         Command::Reference(arguments) => reference::run(arguments, &progress),
         Command::Compare(arguments) => compare::run(arguments),
+        Command::Bench(arguments) => bench::run(arguments, &progress),
         Command::List(arguments) => list::run(arguments),
         Command::Info(arguments) => info::run(arguments),
         Command::Demo(arguments) => demo::run(arguments, &progress),

@@ -6,6 +6,7 @@ use std::time::Instant;
 use clap::{Args, ValueEnum};
 use glam::DVec3;
 
+use super::frames::{FrameOptions, Job};
 use super::render::ImageOptions;
 use super::report::{Origin, Quantity, finish};
 use super::scene_options::{LoadedScene, SceneOptions};
@@ -28,6 +29,8 @@ pub struct Arguments {
     scene: SceneOptions,
     #[command(flatten)]
     image: ImageOptions,
+    #[command(flatten)]
+    frames: FrameOptions,
     /// How the reference is found
     #[arg(long, value_enum, default_value_t = Method::Exact)]
     method: Method,
@@ -35,7 +38,7 @@ pub struct Arguments {
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1 << 24))]
     samples: Option<u32>,
     /// Answers at the position and normal layers of this image instead of a camera's receivers; the size is then that image's
-    #[arg(long, value_name = "IN.exr", conflicts_with = "aa")]
+    #[arg(long, value_name = "IN.exr", conflicts_with_all = ["aa", "frames"])]
     receivers: Option<PathBuf>,
     /// Keeps answers in this directory and finds them there again, as long as nothing that they depend on has changed
     #[arg(long, value_name = "DIR")]
@@ -57,6 +60,7 @@ const DEFAULT_SAMPLES: u32 = 4096;
 pub fn run(arguments: &Arguments, progress: &Progress) -> anyhow::Result<()> {
     let start = Instant::now();
     arguments.image.check()?;
+    let frames = arguments.frames.plan(&arguments.image.output)?;
     if arguments.method == Method::Exact && arguments.samples.is_some() {
         return Err(Error::usage("--samples", "the exact answer takes none; add --method rays").into());
     }
@@ -69,6 +73,12 @@ pub fn run(arguments: &Arguments, progress: &Progress) -> anyhow::Result<()> {
     let cached = arguments.cache.as_deref().map(|directory| Cached::new(technique, name, directory)).transpose()?;
     let technique = cached.as_ref().map_or(technique, |cached| cached);
 
+    if let Some(frames) = frames {
+        let (scene, image, options) = (&arguments.scene, &arguments.image, &arguments.frames);
+        Job { scene, image, options, name, technique, verify: None }.run(&frames, start, progress)?;
+        print_warnings(&cached.as_ref().map(Cached::warnings).unwrap_or_default());
+        return Ok(());
+    }
     let mut loaded = arguments.scene.load(arguments.image.load_options())?;
     let load_ms = ms_since(start);
     let rendering = match &arguments.receivers {

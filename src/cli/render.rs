@@ -7,6 +7,7 @@ use std::time::Instant;
 use clap::{Args, ValueEnum};
 use serde_json::Value;
 
+use super::frames::{FrameOptions, Job};
 use super::report::{Aov, Origin, Quantity, finish, is_png};
 use super::scene_options::{LoadedScene, SceneOptions};
 use super::{print_warnings, with_bar};
@@ -14,7 +15,7 @@ use crate::output;
 use crate::progress::{Progress, ms_since};
 use crate::render::{self, Request};
 use crate::scene::LoadOptions;
-use crate::techniques::{Entry, Parameters, parse_setting};
+use crate::techniques::{BEST, Context, Entry, Needs, Parameters, parse_setting};
 use crate::{Error, Result};
 
 /// Options of `render`.
@@ -24,19 +25,21 @@ pub struct Arguments {
     scene: SceneOptions,
     #[command(flatten)]
     image: ImageOptions,
+    #[command(flatten)]
+    frames: FrameOptions,
     /// How visibility is found (see `penumbra list`)
     #[arg(long, value_name = "NAME", default_value = "rays")]
     technique: String,
-    /// The technique's own settings to start from
-    #[arg(long, value_enum, default_value_t = Preset::Best)]
-    preset: Preset,
+    /// The technique's settings to start from (see `penumbra list`): `best`, or those of a paper
+    #[arg(long, value_name = "NAME", default_value = BEST)]
+    preset: String,
     /// Sets a parameter of the technique; repeatable
     #[arg(long = "set", value_name = "KEY=VALUE", value_parser = parse_setting)]
     settings: Vec<(String, Value)>,
     /// Reads parameters of the technique from a TOML file; `--set` wins
     #[arg(long, value_name = "FILE.toml")]
     config: Option<PathBuf>,
-    /// What to run on; techniques that need a GPU come later, so `gpu` is refused
+    /// What to run on: each technique runs on the processor or on a GPU (see `penumbra list`), and is refused on the other
     #[arg(long, value_enum, default_value_t = Device::Auto)]
     device: Device,
     /// Holds the visibility against the exact answer at N random receivers, and reports the error: its RMSE over the image with a
@@ -50,9 +53,6 @@ pub struct Arguments {
 /// Options of the command line's contract that this version can't serve: refused by name rather than unknown.
 #[derive(Debug, Args)]
 struct NotYet {
-    /// Renders frames A to B of an animation
-    #[arg(long, value_name = "A-B[:STEP]", hide = true)]
-    frames: Option<String>,
     /// Largest error that `auto` may make
     #[arg(long, value_name = "E", hide = true)]
     max_error: Option<String>,
@@ -64,7 +64,6 @@ struct NotYet {
 impl NotYet {
     fn refuse(&self) -> Result<()> {
         let options = [
-            ("--frames", &self.frames, "animation is not supported yet: the scene is rendered as the file poses it"),
             ("--max-error", &self.max_error, "there is no technique `auto` yet"),
             ("--budget", &self.budget, "there is no technique `auto` yet"),
         ];
@@ -96,16 +95,8 @@ pub struct ImageOptions {
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
-enum Preset {
-    /// The paper's choices, its faults as printed
-    Paper,
-    /// The best we know
-    Best,
-}
-
-#[derive(Debug, Clone, Copy, PartialEq, Eq, ValueEnum)]
 enum Device {
-    /// A GPU where the technique uses one and there is one
+    /// What the technique needs
     Auto,
     /// A GPU or nothing
     Gpu,
@@ -154,15 +145,24 @@ pub fn run(arguments: &Arguments, progress: &Progress) -> anyhow::Result<()> {
     let start = Instant::now();
     arguments.not_yet.refuse()?;
     arguments.image.check()?;
+    let frames = arguments.frames.plan(&arguments.image.output)?;
     let entry = Entry::find(&arguments.technique)?;
-    if arguments.device == Device::Gpu {
-        return Err(Error::usage("--device gpu", format!("{} runs on the processor", entry.name)).into());
+    match (arguments.device, entry.needs) {
+        (Device::Gpu, Needs::Cpu) => {
+            return Err(Error::usage("--device gpu", format!("{} runs on the processor", entry.name)).into());
+        }
+        (Device::Cpu, Needs::Gpu) => {
+            return Err(Error::usage("--device cpu", format!("{} runs on a GPU", entry.name)).into());
+        }
+        _ => {}
     }
-    if arguments.preset == Preset::Paper {
-        return Err(Error::usage("--preset paper", format!("{} has no settings of a paper", entry.name)).into());
-    }
-    let technique = (entry.build)(&arguments.parameters()?)?;
+    let technique = (entry.build)(&Context::default(), &arguments.parameters(entry)?)?;
 
+    if let Some(frames) = frames {
+        let (scene, image, options) = (&arguments.scene, &arguments.image, &arguments.frames);
+        let (name, technique, verify) = (entry.name, technique.as_ref(), arguments.verify);
+        return Job { scene, image, options, name, technique, verify }.run(&frames, start, progress);
+    }
     let mut loaded = arguments.scene.load(arguments.image.load_options())?;
     let load_ms = ms_since(start);
     loaded.note_framing();
@@ -176,10 +176,10 @@ pub fn run(arguments: &Arguments, progress: &Progress) -> anyhow::Result<()> {
 }
 
 impl Arguments {
-    fn parameters(&self) -> Result<Parameters> {
-        let mut parameters = Parameters::new();
+    fn parameters(&self, entry: &Entry) -> Result<Parameters> {
+        let mut parameters = entry.preset(&self.preset)?;
         if let Some(path) = &self.config {
-            parameters = read_config(path)?;
+            parameters.extend(read_config(path)?);
         }
         parameters.extend(self.settings.iter().cloned());
         Ok(parameters)

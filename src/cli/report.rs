@@ -8,8 +8,10 @@ use glam::DVec3;
 use serde::Serialize;
 use serde_json::{Map, Value, json};
 
+use super::frames::Frame;
 use super::render::ImageOptions;
 use super::{print, print_json};
+use crate::gpu::Adapter;
 use crate::image::{Image, png_paths, write_exr, write_png, write_pngs};
 use crate::progress::ms_since;
 use crate::receivers::{Receiver, Receivers};
@@ -55,9 +57,6 @@ pub struct Origin<'a> {
     pub parameters: Value,
 }
 
-/// The name of what computes: constant from run to run.
-pub const CPU_ADAPTER: &str = "CPU";
-
 /// The rendering as an image with named channels; takes the pixels out of it.
 pub fn image_of(scene: &Scene, rendering: &mut Rendering, origin: &Origin, quantity: Quantity, aovs: &[Aov]) -> Image {
     let receivers = &rendering.receivers;
@@ -87,10 +86,15 @@ pub fn image_of(scene: &Scene, rendering: &mut Rendering, origin: &Origin, quant
         ("version", env!("CARGO_PKG_VERSION").to_owned()),
         ("technique", origin.technique.to_owned()),
         ("parameters", origin.parameters.to_string()),
-        ("adapter", CPU_ADAPTER.to_owned()),
+        ("adapter", rendering.adapter.to_string()),
         ("scene", scene.name.clone()),
     ];
     image.attributes.extend(attributes.map(|(name, value)| (format!("penumbra:{name}"), value)));
+    if quantity != Quantity::Visibility && rendering.lights.iter().any(|light| light.approximate) {
+        image
+            .attributes
+            .insert("penumbra:approximate".into(), "irradiance is V times the unshadowed irradiance".into());
+    }
     if !rendering.verified.is_empty() {
         let by_light: Map<String, Value> =
             scene.lights.iter().zip(&rendering.verified).map(|(light, v)| (light.name.clone(), json!(v))).collect();
@@ -163,14 +167,28 @@ pub fn write(path: &Path, image: &Image, quantity: Quantity) -> Result<Vec<PathB
 pub fn finish(
     options: &ImageOptions,
     scene: &Scene,
+    rendering: Rendering,
+    origin: Origin,
+    start: Instant,
+    load_ms: f64,
+) -> anyhow::Result<()> {
+    finish_frame(options, scene, rendering, origin, None, start, load_ms)
+}
+
+/// As [`finish`], for a frame of an animation: its record is one line and has the frame's number and time.
+pub fn finish_frame(
+    options: &ImageOptions,
+    scene: &Scene,
     mut rendering: Rendering,
     origin: Origin,
+    frame: Option<&Frame>,
     start: Instant,
     load_ms: f64,
 ) -> anyhow::Result<()> {
     let write_start = Instant::now();
     let image = image_of(scene, &mut rendering, &origin, options.quantity, &options.aov);
-    let outputs = write(&options.output, &image, options.quantity)?;
+    let output = frame.map_or(&options.output, |frame| &frame.output);
+    let outputs = write(output, &image, options.quantity)?;
     if options.json {
         let time_ms = TimeRecord {
             load: load_ms,
@@ -180,18 +198,26 @@ pub fn finish(
             write: ms_since(write_start),
             total: ms_since(start),
         };
-        print_json(&Record::new(scene, &rendering, origin, &outputs, time_ms))?;
+        let record = Record::new(scene, &rendering, origin, &outputs, time_ms);
+        match frame {
+            None => print_json(&record)?,
+            Some(frame) => {
+                let record = Record { frame: Some(frame.number), seconds: Some(frame.seconds), ..record };
+                print(&serde_json::to_string(&record)?)?;
+            }
+        }
     } else if !rendering.verified.is_empty() {
-        print(&verified_table(scene, &rendering.verified))?;
+        let prefix = frame.map_or_else(String::new, |frame| format!("frame {}, ", frame.number));
+        print(&verified_table(scene, &rendering.verified, &prefix))?;
     }
     Ok(())
 }
 
-/// The measured errors for people, a line a light.
-fn verified_table(scene: &Scene, verified: &[Verified]) -> String {
+/// The measured errors for people, a line a light, each after `prefix`.
+fn verified_table(scene: &Scene, verified: &[Verified], prefix: &str) -> String {
     let line = |(light, v): (&AreaLight, &Verified)| {
         if v.receivers == 0 {
-            return format!("{}: faces no receiver: nothing to verify", light.name);
+            return format!("{prefix}{}: faces no receiver: nothing to verify", light.name);
         }
         let [low, high] = v.rmse_ci95;
         let sampled = if v.sampled > 0 { format!(", {} of them sampled", v.sampled) } else { String::new() };
@@ -204,7 +230,7 @@ fn verified_table(scene: &Scene, verified: &[Verified]) -> String {
             )
         };
         let receivers = if v.receivers == 1 { "1 receiver".into() } else { format!("{} receivers", v.receivers) };
-        format!("{}: {error}; {receivers}{sampled}", light.name)
+        format!("{prefix}{}: {error}; {receivers}{sampled}", light.name)
     };
     scene.lights.iter().zip(verified).map(line).collect::<Vec<_>>().join("\n")
 }
@@ -212,15 +238,23 @@ fn verified_table(scene: &Scene, verified: &[Verified]) -> String {
 /// The record that `--json` prints.
 #[derive(Debug, Serialize)]
 pub struct Record {
+    /// Of an animation.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    frame: Option<u32>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    seconds: Option<f64>,
     output: String,
     outputs: Vec<String>,
     scene: SceneRecord,
     size: [u32; 2],
     technique: String,
     parameters: Value,
-    adapter: AdapterRecord,
+    adapter: Adapter,
     lights: Vec<LightRecord>,
     time_ms: TimeRecord,
+    /// What a GPU timed of the time to build.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    build_passes: Vec<Pass>,
     memory_mb: MemoryRecord,
     counters: Counters,
     warnings: Vec<String>,
@@ -235,17 +269,16 @@ struct SceneRecord {
 }
 
 #[derive(Debug, Serialize)]
-struct AdapterRecord {
-    name: &'static str,
-    backend: &'static str,
-    software: bool,
-}
-
-#[derive(Debug, Serialize)]
 struct LightRecord {
     name: String,
     samples: u32,
     rays: u64,
+    shadow_maps: u32,
+    /// Of shadow maps, read.
+    texels: u64,
+    /// Irradiance is V · E₀.
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    approximate: bool,
     /// Receivers whose exact answer had to be sampled.
     #[serde(skip_serializing_if = "Option::is_none")]
     sampled_receivers: Option<usize>,
@@ -292,6 +325,9 @@ impl Record {
                 name: light.name.clone(),
                 samples: image.samples,
                 rays: image.rays,
+                shadow_maps: image.shadow_maps,
+                texels: image.texels,
+                approximate: image.approximate,
                 sampled_receivers: (!image.sampled.is_empty()).then(|| image.sampled.iter().filter(|&&s| s).count()),
                 verified: rendering.verified.get(index).copied(),
                 time_ms: LightTimeRecord {
@@ -300,6 +336,8 @@ impl Record {
                 },
             });
         Self {
+            frame: None,
+            seconds: None,
             output: outputs.first().cloned().unwrap_or_default(),
             outputs,
             scene: SceneRecord {
@@ -311,10 +349,11 @@ impl Record {
             size: rendering.receivers.size,
             technique: origin.technique.to_owned(),
             parameters: origin.parameters,
-            adapter: AdapterRecord { name: CPU_ADAPTER, backend: "cpu", software: true },
+            adapter: rendering.adapter.clone(),
             lights: lights.collect(),
             time_ms,
-            memory_mb: MemoryRecord { peak_rss: peak_rss_mb(), gpu: 0.0 },
+            build_passes: rendering.build_passes.clone(),
+            memory_mb: MemoryRecord { peak_rss: peak_rss_mb(), gpu: rendering.gpu_bytes as f64 / 1e6 },
             counters: rendering.counters,
             warnings: scene.warnings.clone(),
         }

@@ -125,11 +125,7 @@ struct Modulation {
 
 impl Modulation {
     fn of(light: &AreaLight, emitter: &Emitter) -> Self {
-        let flat = matches!(light.shape, Shape::Rect { .. } | Shape::Disk { .. });
-        let spread = (flat && light.spread < PI).then(|| {
-            let half = 0.5 * light.spread;
-            (half.tan(), tan_minus_angle(half), -emitter.normal)
-        });
+        let spread = spread_slopes(light).map(|(tan, norm)| (tan, norm, -emitter.normal));
         Self { spread, cone: light.cone.map(|cone| (cone, -light.axis())) }
     }
 
@@ -167,6 +163,13 @@ impl Modulation {
         }
         creases
     }
+}
+
+/// tan h and tan h − h for h = spread/2; none for a light that has no spread.
+pub fn spread_slopes(light: &AreaLight) -> Option<(f64, f64)> {
+    let flat = matches!(light.shape, Shape::Rect { .. } | Shape::Disk { .. });
+    let half = 0.5 * light.spread;
+    (flat && light.spread < PI).then(|| (half.tan(), tan_minus_angle(half)))
 }
 
 /// tan x − x for x in [0, π/2).

@@ -93,6 +93,20 @@ pub fn crossing(segment: &Segment, corners: [DVec3; 3]) -> Option<Crossing> {
     Some(Crossing { t: origin_height / slope, barycentric: [weight_b / sum, weight_c / sum] })
 }
 
+/// Where the line of a segment meets a triangle's plane, inside the triangle or not, by the same formulas; none where it runs
+/// along it.
+pub fn plane_crossing(segment: &Segment, corners: [DVec3; 3]) -> Option<Crossing> {
+    let d = segment.direction;
+    let [a, b, c] = corners.map(|corner| corner - segment.origin);
+    let [weight_a, weight_b, weight_c] = [b.cross(c).dot(d), c.cross(a).dot(d), a.cross(b).dot(d)];
+    let normal = normal_of(corners);
+    let crossing = Crossing {
+        t: normal.dot(a) / normal.dot(d),
+        barycentric: [weight_b, weight_c].map(|weight| weight / (weight_a + weight_b + weight_c)),
+    };
+    (crossing.t.is_finite() && crossing.barycentric.iter().all(|weight| weight.is_finite())).then_some(crossing)
+}
+
 /// Relative rounding of a dot product of three terms, each a product of rounded differences.
 const ROUNDING: f64 = 8.0 * f64::EPSILON;
 

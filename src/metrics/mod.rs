@@ -10,7 +10,7 @@ use std::collections::BTreeMap;
 use std::fmt::Write;
 
 use rayon::prelude::*;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use crate::image::{Image, grey_png};
 use crate::{Error, Result};
@@ -20,7 +20,7 @@ pub use interval::{RmseEstimate, rmse_interval};
 
 /// Which pixels are measured. Made from the reference alone, so that every test is judged on the same pixels. Pixels that
 /// face away from the light (the reference's `facing` is 0) are in none.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, clap::ValueEnum)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "lowercase")]
 pub enum Mask {
     /// A surface was hit.
@@ -67,7 +67,7 @@ pub struct Report {
 }
 
 /// Every pixel is in one of these.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 pub struct PixelCounts {
     /// A surface in both images, at the same place.
     pub compared: u64,
@@ -80,7 +80,7 @@ pub struct PixelCounts {
 }
 
 /// How the images differ in one light.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct LightReport {
     /// The light's name in the test.
     pub name: String,
@@ -99,7 +99,7 @@ pub struct LightReport {
 }
 
 /// Errors of visibility over one mask; none where the mask is empty. Signed differences are test − reference.
-#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub struct MaskErrors {
     /// Pixels in the mask.
     pub count: u64,
@@ -120,7 +120,7 @@ pub struct MaskErrors {
 }
 
 /// Pixels that are wrong about whether there is a shadow at all.
-#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub struct Outliers {
     /// How many.
     pub count: u64,
@@ -129,7 +129,7 @@ pub struct Outliers {
 }
 
 /// Errors of irradiance over the mask `all`, each colour channel a sample of its own.
-#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
 pub struct IrradianceErrors {
     /// Root of the mean squared difference.
     pub rmse_w_per_m2: f64,

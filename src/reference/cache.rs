@@ -74,7 +74,8 @@ impl<'a> Cached<'a> {
     }
 }
 
-fn hash_scene(hasher: &mut Hasher, scene: &Scene) {
+/// Adds all geometry that may block a light, cut-outs included.
+pub fn hash_scene(hasher: &mut Hasher, scene: &Scene) {
     // Whatever varies in length goes with its length.
     let update = |hasher: &mut Hasher, bytes: &[u8]| {
         hasher.update(&bytes.len().to_le_bytes());
@@ -173,7 +174,7 @@ fn read(path: &Path, key: &Hash, frame: &Frame) -> Option<LightImage> {
         sampled: flags(FLAGS[1]).unwrap_or_default(),
         samples: u32::try_from(number("samples")?).ok()?,
         rays: number("rays")?,
-        passes: Vec::new(),
+        ..LightImage::default()
     })
 }
 
@@ -254,7 +255,14 @@ mod tests {
             let receivers = Receivers { size: [1, 1], pixels: vec![Some(self.receiver)] };
             let (bvh, progress) = (SceneBvh::new(&self.scene), Progress::default());
             let irradiance = self.irradiance;
-            let frame = Frame { scene: &self.scene, bvh: &bvh, receivers: &receivers, irradiance, progress: &progress };
+            let frame = Frame {
+                scene: &self.scene,
+                bvh: &bvh,
+                receivers: &receivers,
+                irradiance,
+                progress: &progress,
+                buffers: None,
+            };
             let directory = std::env::temp_dir();
             let cached = Cached::new(&self.rays, self.name, &directory).expect("a directory for temporary files");
             cached.key(&frame, &self.scene.lights[0])

@@ -135,6 +135,12 @@ pub fn parse_light(spec: &str) -> Result<LightSpec> {
 /// Adds a light. `camera` (scene space) is the one that will be rendered: with [`LightSpec::Auto`] a camera that stands in
 /// a closed room gets its light inside. Add lights before a floor: the automatic one is fitted to the bounds as they are.
 pub fn add_light(scene: &mut Scene, spec: &LightSpec, camera: Option<&Camera>) -> Result<()> {
+    let bounds = scene.bounds();
+    add_light_within(scene, spec, camera, &bounds)
+}
+
+/// As [`add_light`], fitted to other bounds than the scene's: those of an animation, say.
+pub fn add_light_within(scene: &mut Scene, spec: &LightSpec, camera: Option<&Camera>, bounds: &Bounds) -> Result<()> {
     let light = match spec {
         LightSpec::Given(given) => {
             let translation = if matches!(given.shape, Shape::Sun { .. }) {
@@ -146,15 +152,14 @@ pub fn add_light(scene: &mut Scene, spec: &LightSpec, camera: Option<&Camera>) -
             AreaLight { emission: given.emission, ..AreaLight::new(given.name.clone(), scene_from_light, given.shape) }
         }
         LightSpec::Auto => {
-            let bounds = scene.bounds();
             if bounds.size() == DVec3::ZERO {
                 return Err(Error::usage(
                     "--add-light auto",
                     "the scene has no geometry of any size to fit a light to",
                 ));
             }
-            let in_room = camera.and_then(|camera| ceiling_light(scene, &bounds, camera));
-            in_room.unwrap_or_else(|| outside_light(&bounds))
+            let in_room = camera.and_then(|camera| ceiling_light(scene, bounds, camera));
+            in_room.unwrap_or_else(|| outside_light(bounds))
         }
     };
     scene.add_light(light);
@@ -167,6 +172,11 @@ pub fn add_light(scene: &mut Scene, spec: &LightSpec, camera: Option<&Camera>) -
 /// It widens [`Scene::bounds`]: whoever frames a camera or fits a light takes the bounds before.
 pub fn add_floor(scene: &mut Scene, height_world: Option<f64>) -> Result<()> {
     let bounds = scene.bounds();
+    add_floor_within(scene, height_world, &bounds)
+}
+
+/// As [`add_floor`], under other bounds than the scene's.
+pub fn add_floor_within(scene: &mut Scene, height_world: Option<f64>, bounds: &Bounds) -> Result<()> {
     let size = bounds.size();
     if size == DVec3::ZERO {
         return Err(Error::usage("--add-floor", "the scene has no geometry of any size to put a floor under"));
@@ -201,7 +211,7 @@ pub fn add_floor(scene: &mut Scene, height_world: Option<f64>) -> Result<()> {
 }
 
 /// The height of the lowest vertex that a triangle uses, scene space; exact, where bounds of turned instances are not.
-fn lowest_point(scene: &Scene) -> f64 {
+pub fn lowest_point(scene: &Scene) -> f64 {
     let mut by_bound: Vec<(f64, &Instance)> =
         scene.instance_bounds().iter().map(|bounds| bounds.min.y).zip(&scene.instances).collect();
     by_bound.sort_by(|a, b| a.0.total_cmp(&b.0));

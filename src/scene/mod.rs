@@ -8,6 +8,7 @@
 //! - **mesh**: the raw `f32` coordinates of a [`Mesh`].
 
 pub mod additions;
+pub mod animation;
 pub mod camera;
 pub mod gltf;
 pub mod light;
@@ -216,8 +217,14 @@ impl FromIterator<DVec3> for Bounds {
 impl Mesh {
     /// Bounds in mesh space of the positions that triangles use.
     pub fn bounds(&self) -> Bounds {
+        self.bounds_of(0, self.triangles.len())
+    }
+
+    /// Bounds in mesh space of `count` triangles, as far as there are so many, from the `first` on.
+    pub fn bounds_of(&self, first: usize, count: usize) -> Bounds {
         let (mut min, mut max) = (Vec3::INFINITY, Vec3::NEG_INFINITY);
-        for &index in self.triangles.as_flattened() {
+        let end = self.triangles.len().min(first + count);
+        for &index in self.triangles[first..end].as_flattened() {
             let position = self.positions[index as usize];
             min = min.min(position);
             max = max.max(position);

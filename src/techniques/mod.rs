@@ -2,8 +2,13 @@
 //!
 //! A technique is one file with an [`Entry`] in it; the command line, the demo and the tests iterate [`ALL`].
 
+pub mod hard;
+pub mod pcf;
+pub mod pcss;
 pub mod rays;
+pub mod uniform;
 
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Instant;
 
 use glam::DVec3;
@@ -13,13 +18,15 @@ use serde::de::DeserializeOwned;
 use serde_json::{Map, Value};
 
 use crate::geometry::bvh::SceneBvh;
+use crate::gpu::Gpu;
+use crate::gpu::scene::SceneBuffers;
 use crate::progress::{Progress, ms_since};
 use crate::receivers::{Receiver, Receivers};
 use crate::scene::{AreaLight, Scene};
 use crate::{Error, Result};
 
 /// All techniques, in the order in which they are shown.
-pub const ALL: &[Entry] = &[rays::ENTRY];
+pub const ALL: &[Entry] = &[rays::ENTRY, hard::ENTRY, pcf::ENTRY, pcss::ENTRY, uniform::ENTRY];
 
 /// A technique's place in the registry.
 #[derive(Debug)]
@@ -34,10 +41,42 @@ pub struct Entry {
     pub needs: Needs,
     /// JSON schema of its parameters: defaults, ranges and meanings come from here alone.
     pub schema: fn() -> Value,
+    /// Settings by name beside `best`, which is the parameters' defaults; each as [`parse_settings`] reads it.
+    pub presets: &'static [(&'static str, &'static str)],
     /// Settings that `demo` shows, each as [`parse_settings`] reads it.
     pub demo: &'static [&'static str],
     /// Makes it with the given parameters, checked against the schema.
-    pub build: fn(&Parameters) -> Result<Box<dyn Technique>>,
+    pub build: fn(&Context, &Parameters) -> Result<Box<dyn Technique>>,
+}
+
+/// The settings that every technique has: the defaults of its parameters.
+pub const BEST: &str = "best";
+
+/// What techniques are made with.
+#[derive(Debug, Default)]
+pub struct Context {
+    gpu: Mutex<Option<Arc<Gpu>>>,
+}
+
+impl From<Gpu> for Context {
+    /// With a GPU that is open already.
+    fn from(gpu: Gpu) -> Self {
+        Self { gpu: Mutex::new(Some(Arc::new(gpu))) }
+    }
+}
+
+impl Context {
+    /// The GPU, opened when it is first asked for.
+    ///
+    /// # Errors
+    /// As [`Gpu::open`].
+    pub fn gpu(&self) -> Result<Arc<Gpu>> {
+        let mut gpu = self.gpu.lock().unwrap_or_else(PoisonError::into_inner);
+        if gpu.is_none() {
+            *gpu = Some(Arc::new(Gpu::open()?));
+        }
+        Ok(Arc::clone(gpu.as_ref().expect("just opened")))
+    }
 }
 
 /// What a technique runs on.
@@ -46,6 +85,8 @@ pub struct Entry {
 pub enum Needs {
     /// The processor.
     Cpu,
+    /// A GPU, which may be a software one.
+    Gpu,
 }
 
 /// Parameters by name, as given by `--set` and `--config`.
@@ -56,7 +97,7 @@ pub type Parameters = Map<String, Value>;
 pub struct Frame<'a> {
     /// The scene.
     pub scene: &'a Scene,
-    /// Hierarchy over all that can block the light.
+    /// Hierarchy over all that can block the light; of what is drawn by a GPU, it holds nothing.
     pub bvh: &'a SceneBvh<'a>,
     /// Where visibility is asked for.
     pub receivers: &'a Receivers,
@@ -64,6 +105,8 @@ pub struct Frame<'a> {
     pub irradiance: bool,
     /// Progress, in image rows, and cancellation.
     pub progress: &'a Progress,
+    /// The scene on the GPU, for techniques that have one.
+    pub buffers: Option<&'a SceneBuffers>,
 }
 
 /// What a technique finds out about one light, a value a pixel; pixels without receiver hold V = 1 and E = 0.
@@ -84,6 +127,12 @@ pub struct LightImage {
     pub samples: u32,
     /// Occlusion rays traced.
     pub rays: u64,
+    /// Shadow maps rendered, each face of a light point counted.
+    pub shadow_maps: u32,
+    /// Texels of shadow maps read.
+    pub texels: u64,
+    /// Whether the irradiance is V · E₀ rather than weighted sample by sample.
+    pub approximate: bool,
     /// Time of each pass.
     pub passes: Vec<Pass>,
 }
@@ -140,6 +189,16 @@ pub struct Pass {
     pub ms: f64,
 }
 
+/// Adds the times of passes to those of the same names.
+pub fn add_passes(passes: &mut Vec<Pass>, more: Vec<Pass>) {
+    for pass in more {
+        match passes.iter_mut().find(|known| known.name == pass.name) {
+            Some(known) => known.ms += pass.ms,
+            None => passes.push(pass),
+        }
+    }
+}
+
 /// Anything that estimates the visibility of a light from receivers.
 pub trait Technique: Send + Sync {
     /// The estimate for one light.
@@ -150,6 +209,11 @@ pub trait Technique: Send + Sync {
 
     /// The parameters in force, defaults included.
     fn parameters(&self) -> Value;
+
+    /// What it runs on, where that is not the processor.
+    fn gpu(&self) -> Option<&Gpu> {
+        None
+    }
 }
 
 impl Entry {
@@ -162,6 +226,24 @@ impl Entry {
             let names: Vec<_> = ALL.iter().map(|entry| entry.name).collect();
             Error::usage(format!("technique {name:?}"), format!("unknown; there is {}", names.join(", ")))
         })
+    }
+
+    /// The settings of a preset.
+    ///
+    /// # Errors
+    /// One line that lists the presets there are.
+    pub fn preset(&self, name: &str) -> Result<Parameters> {
+        if name == BEST {
+            return Ok(Parameters::new());
+        }
+        match self.presets.iter().find(|(preset, _)| *preset == name) {
+            Some((_, settings)) => parse_settings(settings),
+            None => {
+                let names: Vec<_> = std::iter::once(BEST).chain(self.presets.iter().map(|(name, _)| *name)).collect();
+                let message = format!("{} has no such settings; there is {}", self.name, names.join(", "));
+                Err(Error::usage(format!("--preset {name}"), message))
+            }
+        }
     }
 
     /// Its parameters, in the order of its source.

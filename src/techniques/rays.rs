@@ -25,6 +25,7 @@ pub const ENTRY: Entry = Entry {
     summary: "traces a shadow ray to each sample of the light; every shape, exact but for the sampling",
     needs: Needs::Cpu,
     schema: schema_of::<Rays>,
+    presets: &[],
     demo: &[
         "pattern=grid samples=16",
         "pattern=jittered samples=16",
@@ -33,7 +34,7 @@ pub const ENTRY: Entry = Entry {
         "pattern=sobol samples=64",
         "pattern=sobol samples=256",
     ],
-    build: |given| Ok(Box::new(parse_parameters::<Rays>(&ENTRY, given)?)),
+    build: |_, given| Ok(Box::new(parse_parameters::<Rays>(&ENTRY, given)?)),
 };
 
 /// Parameters of `rays`.

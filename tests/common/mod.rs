@@ -14,7 +14,7 @@ use penumbra::sampling::Pattern;
 use penumbra::scene::camera::aimed;
 use penumbra::scene::{AreaLight, Instance, Mesh, Node, Scene, Shape};
 use penumbra::techniques::rays::Rays;
-use penumbra::techniques::{Frame, Linking};
+use penumbra::techniques::{Frame, LightImage, Linking};
 
 /// A mesh of the given corners, three a triangle.
 pub fn mesh(triangles: &[[[f32; 3]; 3]]) -> Mesh {
@@ -77,6 +77,44 @@ pub fn receivers(scene: &Scene, positions_world: &[DVec3], normal: DVec3) -> Rec
     Receivers { size: [positions_world.len() as u32, 1], pixels: positions_world.iter().map(receiver).collect() }
 }
 
+/// Points along x on the floor, off any symmetry of the scenes.
+pub fn line(from: f64, to: f64, count: usize) -> Vec<DVec3> {
+    let x = |i: usize| from + (to - from) * (i as f64 + 0.5) / count as f64;
+    (0..count).map(|i| DVec3::new(x(i), 0.0, 0.0137)).collect()
+}
+
+/// A square of half side ½ at height 2, and a light.
+pub fn square_under(light: AreaLight) -> Scene {
+    scene(vec![mesh(&quad([-0.5, 0.5], 2.0, [-0.5, 0.5]))], vec![light])
+}
+
+/// An uneven surface of many small triangles over a floor, with everything that lights it.
+pub fn bumpy(lights: Vec<AreaLight>) -> Scene {
+    let mut triangles = Vec::new();
+    let height = |i: i32, j: i32| 1.0 + 0.25 * ((i * 7 + j * 13) % 11) as f32 / 11.0;
+    for i in -6..6 {
+        for j in -6..6 {
+            if (i + j) % 3 == 0 {
+                continue;
+            }
+            let at = |i: i32, j: i32| [i as f32 * 0.125, height(i, j), j as f32 * 0.125];
+            triangles.push([at(i, j), at(i + 1, j), at(i, j + 1)]);
+            triangles.push([at(i + 1, j), at(i + 1, j + 1), at(i, j + 1)]);
+        }
+    }
+    scene(vec![mesh(&triangles), mesh(&quad([-4.0, 4.0], 0.0, [-4.0, 4.0]))], lights)
+}
+
+/// Whether two sets of images are equal bit for bit, irradiance and times apart.
+pub fn same_bits(what: &str, a: &[LightImage], b: &[LightImage]) {
+    assert_eq!(a.len(), b.len());
+    for (i, (a, b)) in a.iter().zip(b).enumerate() {
+        let bits = |image: &LightImage| image.visibility.iter().map(|v| v.to_bits()).collect::<Vec<_>>();
+        assert_eq!(bits(a), bits(b), "{what}: visibility of light {i}");
+        assert_eq!(a.facing, b.facing, "{what}: facing of light {i}");
+    }
+}
+
 /// `rays` with a pattern and a count.
 pub fn rays(pattern: Pattern, samples: u32) -> Rays {
     Rays { samples, pattern, seed: 0 }
@@ -102,7 +140,7 @@ pub fn exact(scene: &Scene, receivers: &Receivers) -> Vec<Vec<Answer>> {
     let mut bvh = SceneBvh::new(scene);
     bvh.add(|_| true);
     let progress = Progress::default();
-    let frame = Frame { scene, bvh: &bvh, receivers, irradiance: true, progress: &progress };
+    let frame = Frame { scene, bvh: &bvh, receivers, irradiance: true, progress: &progress, buffers: None };
     let of_light = |light: &AreaLight| {
         let linking = Linking::of(scene, light);
         let receivers = receivers.hits().enumerate();

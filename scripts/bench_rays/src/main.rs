@@ -131,7 +131,7 @@ fn measure(name: &str, path: &Path, embree: &Embree, penumbra: &Path) -> Outcome
             cpu_ratios.push((end_cpu - their_cpu) / (their_cpu - our_cpu));
             let progress = Progress::default();
             let frame =
-                Frame { scene: &case.scene, bvh: &bvh, receivers: &receivers, irradiance: false, progress: &progress };
+                Frame { scene: &case.scene, bvh: &bvh, receivers: &receivers, irradiance: false, progress: &progress, buffers: None };
             let (image, ms) = timed(|| technique.render(&frame, &light));
             full.push(image?.rays as f64 / ms / 1e3);
         }

@@ -12,9 +12,11 @@ use glam::{DAffine3, DMat3, DVec2, DVec3};
 use obvhs::aabb::Aabb;
 use rayon::prelude::*;
 
-use super::triangle::{Crossing, Segment, crossing};
-use crate::scene::{Bounds, Camera, Instance, Mesh, Scene};
-use kernel::{NONE, Ray, Stack, exponent_of, power_of_two};
+use super::triangle::{Crossing, Segment, crossing, plane_crossing};
+use crate::scene::camera::CameraRay;
+use crate::scene::{Bounds, Camera, Instance, Mesh, Projection, Scene};
+use kernel::{NONE, Ray, Stack};
+pub use kernel::{exponent_of, power_of_two};
 pub use pyramid::Plane;
 use wide::{Leaf, Tree, WIDTH};
 
@@ -287,6 +289,12 @@ impl<'a> SceneBvh<'a> {
         best
     }
 
+    /// Where a line meets the plane of a triangle; none where it runs along it.
+    pub fn plane_crossing(&self, instance: u32, triangle: u32, origin: DVec3, direction: DVec3) -> Option<Crossing> {
+        let segment = self.frames[instance as usize].segment(origin, 0.0, direction, None);
+        plane_crossing(&segment, self.corners(instance, triangle))
+    }
+
     /// The point of a triangle with the given weights of its second and third corner.
     pub fn surface_point(&self, instance: u32, triangle: u32, barycentric: [f64; 2]) -> SurfacePoint {
         let frame = &self.frames[instance as usize];
@@ -531,10 +539,13 @@ pub fn is_out_of_view(bounds: &Bounds, camera: &Camera, size: [u32; 2]) -> bool 
     // Outside one of the four side planes, each through two neighbouring corner rays.
     let beyond_side = (0..4).any(|i| {
         let (a, b) = (rays[i], rays[(i + 1) % 4]);
-        let across = b.origin + b.direction - a.origin;
-        let mut outward = a.direction.cross(across);
-        let inside = rays[(i + 2) % 4];
-        if outward.dot(inside.origin + inside.direction - a.origin) > 0.0 {
+        // From one ray to another, at any scale: a direction is no length.
+        let to = |other: CameraRay| match camera.projection {
+            Projection::Perspective { .. } => other.direction,
+            Projection::Orthographic { .. } => other.origin - a.origin,
+        };
+        let mut outward = a.direction.cross(to(b));
+        if outward.dot(to(rays[(i + 2) % 4])) > 0.0 {
             outward = -outward;
         }
         corners.iter().all(|&corner| outward.dot(corner - a.origin) > 0.0)

@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use glam::Vec3;
 use gltf::json::accessor::{ComponentType, Type};
 use gltf::json::validation::Checked;
 
@@ -141,6 +142,62 @@ impl<'a> Accessor<'a> {
         }
     }
 
+    /// Its elements of four unsigned components of one or two bytes. The shape must have been [expected](Self::expect).
+    pub fn quadruples(&self) -> Parsed<Arc<[[u16; 4]]>> {
+        match self.component {
+            ComponentType::U8 => self.collect(|b| array(b, |[v]: [u8; 1]| u16::from(v))),
+            _ => self.collect(|b| array(b, u16::from_le_bytes)),
+        }
+    }
+
+    /// Elements that have bytes of their own in the file: where none has but the sparse ones, these.
+    pub fn stored(&self) -> usize {
+        match (&self.base, &self.sparse) {
+            (Some(_), _) => self.count,
+            (None, Some(sparse)) => sparse.count,
+            (None, None) => 0,
+        }
+    }
+
+    /// Its vectors that are not zero, with their indices; no more than are [stored](Self::stored) take memory. The shape must
+    /// have been [expected](Self::expect).
+    pub fn displacements(&self) -> Parsed<Arc<[(u32, Vec3)]>> {
+        let nonzero = |(index, vector): (u32, Vec3)| (vector != Vec3::ZERO).then_some((index, vector));
+        match (&self.base, &self.sparse) {
+            (Some(_), _) => {
+                let all = self.floats(Vec3::from_array)?;
+                Ok((0..).zip(all.iter().copied()).filter_map(nonzero).collect())
+            }
+            (None, Some(sparse)) => {
+                let mut indices = Vec::with_capacity(sparse.count);
+                self.visit_sparse(sparse, |_, at| indices.push(at as u32))?;
+                let values = Strided { bytes: sparse.values.bytes, stride: sparse.values.stride };
+                let values = Accessor { count: sparse.count, base: Some(values), sparse: None, ..*self };
+                let values = values.floats(Vec3::from_array)?;
+                Ok(indices.into_iter().zip(values.iter().copied()).filter_map(nonzero).collect())
+            }
+            (None, None) => Ok(Arc::new([])),
+        }
+    }
+
+    /// Its first `most` elements of `N` floats. It must have as many, and their shape must have been [expected](Self::expect).
+    pub fn first<const N: usize>(&self, most: usize) -> Parsed<Vec<[f32; N]>> {
+        let read = |bytes: &[u8]| array(bytes, f32::from_le_bytes);
+        let element_bytes = 4 * N;
+        let mut elements: Vec<[f32; N]> = match &self.base {
+            Some(base) => (0..most).map(|i| read(base.element(i, element_bytes))).collect(),
+            None => vec![[0.0; N]; most],
+        };
+        if let Some(sparse) = &self.sparse {
+            self.visit_sparse(sparse, |i, at| {
+                if let Some(element) = elements.get_mut(at) {
+                    *element = read(sparse.values.element(i, element_bytes));
+                }
+            })?;
+        }
+        Ok(elements)
+    }
+
     fn collect<T: Copy>(&self, read: impl Fn(&[u8]) -> T) -> Parsed<Arc<[T]>> {
         let element_bytes = self.component.size() * self.dimensions.multiplicity();
         let mut elements: Arc<[T]> = match &self.base {
@@ -150,19 +207,25 @@ impl<'a> Accessor<'a> {
         };
         if let Some(sparse) = &self.sparse {
             let elements = Arc::get_mut(&mut elements).expect("made above");
-            let mut lowest = 0;
-            for i in 0..sparse.count {
-                let mut word = [0; 4];
-                word[..sparse.component.size()].copy_from_slice(sparse.indices.element(i, sparse.component.size()));
-                let at = u32::from_le_bytes(word) as usize;
-                if at < lowest || at >= self.count {
-                    return Err(self.sparse_fault(i, at, lowest));
-                }
-                elements[at] = read(sparse.values.element(i, element_bytes));
-                lowest = at + 1;
-            }
+            self.visit_sparse(sparse, |i, at| elements[at] = read(sparse.values.element(i, element_bytes)))?;
         }
         Ok(elements)
+    }
+
+    /// Calls `visit` with each sparse element's number and the index of the element that it replaces.
+    fn visit_sparse(&self, sparse: &Sparse, mut visit: impl FnMut(usize, usize)) -> Parsed<()> {
+        let mut lowest = 0;
+        for i in 0..sparse.count {
+            let mut word = [0; 4];
+            word[..sparse.component.size()].copy_from_slice(sparse.indices.element(i, sparse.component.size()));
+            let at = u32::from_le_bytes(word) as usize;
+            if at < lowest || at >= self.count {
+                return Err(self.sparse_fault(i, at, lowest));
+            }
+            visit(i, at);
+            lowest = at + 1;
+        }
+        Ok(())
     }
 
     fn sparse_fault(&self, i: usize, found: usize, lowest: usize) -> Fault {

@@ -14,6 +14,8 @@ use serde::de::value::{MapAccessDeserializer, StringDeserializer};
 use serde::de::{DeserializeSeed, Deserializer, IgnoredAny, MapAccess, SeqAccess, Visitor};
 use serde_path_to_error::Track;
 
+use super::animation::Animation;
+
 /// What is wrong with a file, and where inside it.
 #[derive(Debug)]
 pub(super) struct Fault {
@@ -53,8 +55,8 @@ pub(super) fn item<'a, T>(list: &'a [T], kind: &str, index: usize, place: impl F
 pub(super) struct Document<'a> {
     /// Without its animations.
     pub root: Root,
-    /// Whether the file has animations.
-    pub animated: bool,
+    /// Its animations, in types of their own: extensions change what a channel has (KHR_animation_pointer: no node).
+    pub animations: Vec<Animation>,
     /// Bytes of JSON and of distinct buffers: what the size of a loaded scene is held against.
     pub size: u64,
     buffers: Vec<Buffer>,
@@ -76,14 +78,14 @@ impl<'a> Document<'a> {
     /// Parses a .gltf or .glb, told apart by their first bytes.
     pub fn parse(bytes: &'a [u8], base_dir: Option<&'a Path>) -> Parsed<Self> {
         let (json, bin) = if bytes.starts_with(b"glTF") { glb_chunks(bytes)? } else { (bytes, None) };
-        let Still { mut root, animated } = parse_json(json)?;
+        let Parts { mut root, animations } = parse_json(json)?;
         let mut document = Self {
             size: json.len() as u64,
             buffers: Vec::new(),
             bin: bin.unwrap_or(&[]),
             contents: Vec::new(),
             base_dir,
-            animated,
+            animations,
             root: Root::default(),
         };
         document.read_buffers(&mut root.buffers, bin.is_some())?;
@@ -285,7 +287,7 @@ struct Asset {
     min_version: Option<String>,
 }
 
-fn parse_json(json: &[u8]) -> Parsed<Still> {
+fn parse_json(json: &[u8]) -> Parsed<Parts> {
     let json = json.strip_prefix(b"\xef\xbb\xbf").unwrap_or(json);
     // A file of another version, or one that needs what we lack, should say so before it fails on a detail.
     if let Ok(head) = serde_json::from_slice::<Head>(json) {
@@ -301,9 +303,9 @@ fn parse_json(json: &[u8]) -> Parsed<Still> {
             }
         }
     }
-    let still = deserialize_at(json, |deserializer| deserializer.deserialize_map(StillVisitor))?;
+    let parts = deserialize_at(json, |deserializer| deserializer.deserialize_map(PartsVisitor))?;
     deserialize_at(json, |deserializer| NarrowIndices { here: false, below: false }.deserialize(deserializer))?;
-    Ok(still)
+    Ok(parts)
 }
 
 /// Extensions that a file may require.
@@ -321,38 +323,36 @@ fn supported(name: &str) -> bool {
         .contains(&name)
 }
 
-/// A document whose animations were passed over: extensions change what a channel has (KHR_animation_pointer: no node), and
-/// they aren't played.
-struct Still {
+/// A document whose animations are read apart from the rest.
+struct Parts {
     root: Root,
-    /// Whether it has animations.
-    animated: bool,
+    animations: Vec<Animation>,
 }
 
-struct StillVisitor;
+struct PartsVisitor;
 
-impl<'de> Visitor<'de> for StillVisitor {
-    type Value = Still;
+impl<'de> Visitor<'de> for PartsVisitor {
+    type Value = Parts;
 
     fn expecting(&self, formatter: &mut std::fmt::Formatter) -> std::fmt::Result {
         formatter.write_str("struct Root")
     }
 
-    fn visit_map<A: MapAccess<'de>>(self, members: A) -> Result<Still, A::Error> {
-        let mut animated = false;
-        let members = StillMembers { members, animated: &mut animated };
+    fn visit_map<A: MapAccess<'de>>(self, members: A) -> Result<Parts, A::Error> {
+        let mut animations = Vec::new();
+        let members = OtherMembers { members, animations: &mut animations };
         let root = Root::deserialize(MapAccessDeserializer::new(members))?;
-        Ok(Still { root, animated })
+        Ok(Parts { root, animations })
     }
 }
 
 /// The members of a document but `animations`.
-struct StillMembers<'a, A> {
+struct OtherMembers<'a, A> {
     members: A,
-    animated: &'a mut bool,
+    animations: &'a mut Vec<Animation>,
 }
 
-impl<'de, A: MapAccess<'de>> MapAccess<'de> for StillMembers<'_, A> {
+impl<'de, A: MapAccess<'de>> MapAccess<'de> for OtherMembers<'_, A> {
     type Error = A::Error;
 
     fn next_key_seed<K: DeserializeSeed<'de>>(&mut self, seed: K) -> Result<Option<K::Value>, A::Error> {
@@ -360,7 +360,7 @@ impl<'de, A: MapAccess<'de>> MapAccess<'de> for StillMembers<'_, A> {
             if key != "animations" {
                 return seed.deserialize(StringDeserializer::new(key)).map(Some);
             }
-            *self.animated |= !self.members.next_value::<Vec<IgnoredAny>>()?.is_empty();
+            *self.animations = self.members.next_value()?;
         }
         Ok(None)
     }
@@ -411,7 +411,7 @@ struct NarrowIndices {
 }
 
 /// Keys whose values are indices or enumerations, or arrays of them.
-const INDEX_KEYS: [&str; 23] = [
+const INDEX_KEYS: [&str; 26] = [
     "buffer",
     "bufferView",
     "camera",
@@ -420,6 +420,7 @@ const INDEX_KEYS: [&str; 23] = [
     "index",
     "indices",
     "input",
+    "inverseBindMatrices",
     "joints",
     "light",
     "magFilter",
@@ -432,6 +433,8 @@ const INDEX_KEYS: [&str; 23] = [
     "output",
     "sampler",
     "scene",
+    "skeleton",
+    "skin",
     "source",
     "wrapS",
     "wrapT",
@@ -486,12 +489,13 @@ impl<'de> Visitor<'de> for NarrowIndices {
 
     fn visit_map<A: MapAccess<'de>>(self, mut members: A) -> Result<(), A::Error> {
         while let Some(key) = members.next_key::<Cow<str>>()? {
+            // Animations have types of their own.
             if key == "extras" || key == "animations" {
                 members.next_value::<IgnoredAny>()?;
                 continue;
             }
             let here = self.below || INDEX_KEYS.contains(&&*key);
-            members.next_value_seed(Self { here, below: key == "attributes" })?;
+            members.next_value_seed(Self { here, below: key == "attributes" || key == "targets" })?;
         }
         Ok(())
     }

@@ -11,21 +11,39 @@ use gltf::json::validation::Checked;
 use rayon::prelude::*;
 
 use super::accessor::Accessor;
+use super::animation::target_count;
+use super::deformers;
 use super::document::{Document, Parsed, fault, item};
 use super::hierarchy::Hierarchy;
 use super::materials::{Source, TexCoords};
 use super::{FREE_ELEMENTS, Warnings, name_or};
+use crate::scene::animation::Deformer;
 use crate::scene::{MAX_COORDINATE, Mesh};
 
 /// Vertices, normals, texture coordinates and triangles may number [`FREE_ELEMENTS`] in all and this many for each byte of the
 /// file. Data that isn't shared never has more than one for a byte.
-const ELEMENTS_PER_BYTE: u64 = 4;
+pub(super) const ELEMENTS_PER_BYTE: u64 = 4;
 
-/// The meshes of a scene.
+/// The meshes of a file, none of them deformed.
 pub(super) struct Geometry {
     pub meshes: Vec<Mesh>,
-    /// For each mesh of the file, the meshes of the scene (one a primitive) that it stands for.
-    pub meshes_of: Vec<Vec<usize>>,
+    /// For each mesh of the file, the meshes (one a primitive) that it stands for.
+    pub meshes_of: Vec<Vec<Part>>,
+    /// What deforms them.
+    pub deformers: Vec<Deformer>,
+    /// For each mesh of the file, the weights of its morph targets where nothing else is said.
+    pub weights_of: Vec<Vec<f64>>,
+}
+
+/// A primitive.
+#[derive(Clone, Copy)]
+pub(super) struct Part {
+    /// Index into [`Geometry::meshes`].
+    pub mesh: usize,
+    /// Index into [`Geometry::deformers`].
+    pub deformer: Option<usize>,
+    /// Which vertices it indexes: the same number, the same positions and normals.
+    pub vertices: usize,
 }
 
 /// What makes two primitives the same mesh.
@@ -56,6 +74,7 @@ struct Planned {
     name: String,
     vertices: usize,
     triangles: u64,
+    deformer: Option<deformers::Key>,
 }
 
 /// Which meshes of the file the scene's nodes use.
@@ -85,36 +104,51 @@ pub(super) fn used_materials(document: &Document, shown_meshes: &[bool]) -> Pars
     Ok(used)
 }
 
-fn is_triangles(primitive: &Primitive) -> bool {
+pub(super) fn is_triangles(primitive: &Primitive) -> bool {
     matches!(primitive.mode, Checked::Valid(Mode::Triangles | Mode::TriangleStrip | Mode::TriangleFan))
 }
 
-/// Loads the meshes that the scene's nodes use.
+/// Loads the meshes that the scene's nodes use; those in `skinned` with their joints.
 pub(super) fn load(
     document: &Document,
     shown_meshes: &[bool],
+    skinned: &[bool],
     materials: &[Source],
     warnings: &mut Warnings,
 ) -> Parsed<Geometry> {
     let mut planned = Vec::new();
+    let mut planned_deformers = deformers::Planned::default();
     let mut known = HashMap::new();
+    let mut vertices = Distinct::default();
     let mut meshes_of = vec![Vec::new(); document.root.meshes.len()];
+    let mut weights_of = vec![Vec::new(); document.root.meshes.len()];
     for (m, mesh) in document.root.meshes.iter().enumerate().filter(|&(m, _)| shown_meshes[m]) {
         let mesh_name = name_or(mesh.name.as_deref(), "mesh", m);
+        let targets = target_count(mesh);
+        weights_of[m] = deformers::default_weights(mesh, targets, &format!("meshes[{m}]"))?;
         for (p, primitive) in mesh.primitives.iter().enumerate() {
             let name = if mesh.primitives.len() == 1 { mesh_name.clone() } else { format!("{mesh_name} [{p}]") };
             let place = format!("meshes[{m}].primitives[{p}]");
-            let Some(plan) = plan(document, primitive, place, name, materials, warnings)? else { continue };
+            let found = primitive.targets.as_ref().map_or(0, Vec::len);
+            if is_triangles(primitive) && found != targets {
+                let message = format!("expected {targets}, as many as the mesh's other primitives have, found {found}");
+                return Err(fault(format!("{place}.targets"), message));
+            }
+            let Some(plan) = plan(document, primitive, place, name, skinned[m], materials, warnings)? else { continue };
+            let deformer = plan.deformer.as_ref().map(|key| planned_deformers.add(key, &plan.place));
+            vertices.add((plan.key.positions, plan.key.normals));
+            let vertices = vertices.places[&(plan.key.positions, plan.key.normals)];
             let next = planned.len();
-            let at = *known.entry(plan.key).or_insert(next);
-            if at == next {
+            let mesh = *known.entry((plan.key, deformer)).or_insert(next);
+            if mesh == next {
                 planned.push(plan);
             }
-            meshes_of[m].push(at);
+            meshes_of[m].push(Part { mesh, deformer, vertices });
         }
     }
     check_budget(document, &planned)?;
     let mut meshes = decode(document, planned, warnings)?;
+    let deformers = deformers::decode(document, planned_deformers)?;
 
     // A mesh without triangles is no mesh.
     let mut kept = Vec::with_capacity(meshes.len());
@@ -125,10 +159,10 @@ pub(super) fn load(
         next += usize::from(!empty);
     }
     meshes.retain(|mesh| !mesh.triangles.is_empty());
-    for meshes in &mut meshes_of {
-        *meshes = meshes.iter().filter_map(|&mesh| kept[mesh]).collect();
+    for parts in &mut meshes_of {
+        *parts = parts.iter().filter_map(|&part| Some(Part { mesh: kept[part.mesh]?, ..part })).collect();
     }
-    Ok(Geometry { meshes, meshes_of })
+    Ok(Geometry { meshes, meshes_of, deformers, weights_of })
 }
 
 /// Finds and checks a primitive's accessors; none for what has no triangles.
@@ -137,6 +171,7 @@ fn plan(
     primitive: &Primitive,
     place: String,
     name: String,
+    skinned: bool,
     materials: &[Source],
     warnings: &mut Warnings,
 ) -> Parsed<Option<Planned>> {
@@ -146,9 +181,6 @@ fn plan(
     if !is_triangles(primitive) {
         warnings.add("points and lines are skipped", &name);
         return Ok(None);
-    }
-    if primitive.targets.as_ref().is_some_and(|targets| !targets.is_empty()) {
-        warnings.add("morph targets are not applied (the base shape is shown)", &name);
     }
     let attribute = |semantic| primitive.attributes.get(&Checked::Valid(semantic)).map(|index| index.value());
     let Some(positions) = attribute(Semantic::Positions) else {
@@ -214,7 +246,8 @@ fn plan(
     }
     let triangles = if mode == Mode::Triangles { corners / 3 } else { corners.saturating_sub(2) };
     let key = Key { positions, normals, uvs, indices, mode: mode.as_gl_enum(), material };
-    Ok(Some(Planned { key, place, name, vertices, triangles: triangles as u64 }))
+    let deformer = deformers::plan(document, primitive, vertices, skinned, &place)?;
+    Ok(Some(Planned { key, place, name, vertices, triangles: triangles as u64, deformer }))
 }
 
 /// What core glTF and KHR_mesh_quantization allow for positions and texture coordinates.
@@ -225,6 +258,7 @@ const QUANTIZED_OR_FLOAT: [ComponentType; 5] =
 fn check_budget(document: &Document, planned: &[Planned]) -> Parsed<()> {
     let budget = FREE_ELEMENTS.saturating_add(document.size.saturating_mul(ELEMENTS_PER_BYTE));
     let (mut positions, mut normals, mut uvs) = (Distinct::default(), Distinct::default(), Distinct::default());
+    let mut deformers = deformers::Counted::default();
     let mut elements = 0u64;
     for plan in planned {
         let decoded = [
@@ -234,6 +268,9 @@ fn check_budget(document: &Document, planned: &[Planned]) -> Parsed<()> {
         ];
         let vertices = decoded.iter().filter(|&&new| new).count() as u64 * plan.vertices as u64;
         elements = elements.saturating_add(plan.triangles).saturating_add(vertices);
+        if let Some(key) = &plan.deformer {
+            elements = elements.saturating_add(deformers.add(document, key, plan.vertices)?);
+        }
         if elements > budget {
             let message = format!(
                 "too much geometry for its size: with this, {elements} vertices and triangles, and a file of {} bytes may \
@@ -247,9 +284,9 @@ fn check_budget(document: &Document, planned: &[Planned]) -> Parsed<()> {
 }
 
 /// Items in the order in which they were first added.
-struct Distinct<T> {
-    places: HashMap<T, usize>,
-    items: Vec<T>,
+pub(super) struct Distinct<T> {
+    pub places: HashMap<T, usize>,
+    pub items: Vec<T>,
 }
 
 impl<T> Default for Distinct<T> {
@@ -260,7 +297,7 @@ impl<T> Default for Distinct<T> {
 
 impl<T: Hash + Eq + Copy> Distinct<T> {
     /// Whether it is new.
-    fn add(&mut self, item: T) -> bool {
+    pub fn add(&mut self, item: T) -> bool {
         let next = self.items.len();
         let new = *self.places.entry(item).or_insert(next) == next;
         if new {
@@ -340,7 +377,7 @@ fn decode(document: &Document, planned: Vec<Planned>, warnings: &mut Warnings) -
 }
 
 /// All results, or the first fault.
-fn in_order<T: Send>(results: impl IndexedParallelIterator<Item = Parsed<T>>) -> Parsed<Vec<T>> {
+pub(super) fn in_order<T: Send>(results: impl IndexedParallelIterator<Item = Parsed<T>>) -> Parsed<Vec<T>> {
     let results: Vec<Parsed<T>> = results.collect();
     results.into_iter().collect()
 }

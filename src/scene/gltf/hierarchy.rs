@@ -5,6 +5,7 @@ use gltf::json::{Root, scene};
 
 use super::document::{Parsed, fault, item};
 use crate::scene::MAX_COORDINATE;
+use crate::scene::animation::{NodePose, Pose};
 
 /// The nodes of a file, by their index in it.
 pub(super) struct Hierarchy {
@@ -12,25 +13,27 @@ pub(super) struct Hierarchy {
     pub parents: Vec<Option<usize>>,
     /// The nodes of the chosen scene, in file order.
     pub shown: Vec<usize>,
-    /// Each node's transform into the world, as the file says; may be singular.
+    /// Each node's transform into the world; may be singular.
     pub world_from_node: Vec<DAffine3>,
+    /// All nodes, parents first.
+    order: Vec<usize>,
 }
 
 impl Hierarchy {
-    /// Checks that the nodes form trees, multiplies their matrices and chooses the scene: the default one, else the first,
-    /// else all nodes.
+    /// Checks that the nodes form trees, multiplies the matrices that the file gives them and chooses the scene: the default
+    /// one, else the first, else all nodes.
     pub fn new(root: &Root) -> Parsed<Self> {
         let parents = parents(root)?;
         let order = order(root, &parents)?;
-        let mut world_from_node = vec![DAffine3::IDENTITY; root.nodes.len()];
-        for &node in &order {
-            let parent_from_node = local_transform(&root.nodes[node], node)?;
-            world_from_node[node] = match parents[node] {
-                Some(parent) => world_from_node[parent] * parent_from_node,
-                None => parent_from_node,
-            };
-        }
-        Ok(Self { shown: shown(root, &parents, &order)?, parents, world_from_node })
+        let world_from_node = world_from_node(root, &parents, &order, &Pose::default())?;
+        Ok(Self { shown: shown(root, &parents, &order)?, parents, world_from_node, order })
+    }
+
+    /// The same nodes in another pose.
+    pub fn posed(&self, root: &Root, pose: &Pose) -> Parsed<Self> {
+        let world_from_node = world_from_node(root, &self.parents, &self.order, pose)?;
+        let Self { parents, shown, order, .. } = self;
+        Ok(Self { parents: parents.clone(), shown: shown.clone(), world_from_node, order: order.clone() })
     }
 
     /// A node's transform into the world, which must be invertible and within range.
@@ -49,6 +52,18 @@ impl Hierarchy {
         let y = direction(y - y.dot(z) * z);
         Ok(DAffine3 { matrix3: DMat3::from_cols(y.cross(z), y, z), translation: world_from_node.translation })
     }
+}
+
+fn world_from_node(root: &Root, parents: &[Option<usize>], order: &[usize], pose: &Pose) -> Parsed<Vec<DAffine3>> {
+    let mut world_from_node = vec![DAffine3::IDENTITY; root.nodes.len()];
+    for &node in order {
+        let parent_from_node = local_transform(&root.nodes[node], node, pose.nodes.get(&node))?;
+        world_from_node[node] = match parents[node] {
+            Some(parent) => world_from_node[parent] * parent_from_node,
+            None => parent_from_node,
+        };
+    }
+    Ok(world_from_node)
 }
 
 /// Faults unless a transform into the world is finite, within range and invertible.
@@ -132,17 +147,11 @@ fn shown(root: &Root, parents: &[Option<usize>], order: &[usize]) -> Parsed<Vec<
     Ok((0..parents.len()).filter(|&node| in_scene[node]).collect())
 }
 
-fn local_transform(node: &scene::Node, index: usize) -> Parsed<DAffine3> {
+/// A node's transform into its parent's space: the file's, but for what a pose says.
+fn local_transform(node: &scene::Node, index: usize, pose: Option<&NodePose>) -> Parsed<DAffine3> {
     let place = |member: &str| format!("nodes[{index}].{member}");
     if let Some(matrix) = node.matrix {
-        let matrix = DMat4::from_cols_array(&matrix.map(f64::from));
-        let bottom = matrix.row(3);
-        // A few roundings of f32 are let pass, a projection isn't.
-        let off = (bottom - glam::DVec4::W).abs().max_element();
-        if !matrix.is_finite() || off > 8.0 * f64::from(f32::EPSILON) {
-            return Err(fault(place("matrix"), "expected finite numbers with a last row of 0, 0, 0, 1"));
-        }
-        return Ok(DAffine3::from_mat4(matrix));
+        return affine(matrix).ok_or_else(|| fault(place("matrix"), NO_AFFINE));
     }
     let vector =
         |value: Option<[f32; 3]>, default: f64, member: &str| match value.map(|v| DVec3::from(v.map(f64::from))) {
@@ -150,15 +159,31 @@ fn local_transform(node: &scene::Node, index: usize) -> Parsed<DAffine3> {
             Some(vector) => Ok(vector),
             None => Ok(DVec3::splat(default)),
         };
-    let translation = vector(node.translation, 0.0, "translation")?;
-    let scale = vector(node.scale, 1.0, "scale")?;
-    let rotation = match &node.rotation {
+    let mut translation = vector(node.translation, 0.0, "translation")?;
+    let mut scale = vector(node.scale, 1.0, "scale")?;
+    let mut rotation = match &node.rotation {
         Some(rotation) => {
             rotation_of(rotation.0).ok_or_else(|| fault(place("rotation"), "expected a unit quaternion"))?
         }
         None => DQuat::IDENTITY,
     };
+    if let Some(pose) = pose {
+        translation = pose.translation.unwrap_or(translation);
+        rotation = pose.rotation.unwrap_or(rotation);
+        scale = pose.scale.unwrap_or(scale);
+    }
     Ok(DAffine3::from_scale_rotation_translation(scale, rotation, translation))
+}
+
+/// What is wrong with a matrix that is not [`affine`].
+pub(super) const NO_AFFINE: &str = "expected finite numbers with a last row of 0, 0, 0, 1";
+
+/// A matrix of a file, columns first; none when it is no affine transform.
+pub(super) fn affine(matrix: [f32; 16]) -> Option<DAffine3> {
+    let matrix = DMat4::from_cols_array(&matrix.map(f64::from));
+    // A few roundings of f32 are let pass, a projection isn't.
+    let off = (matrix.row(3) - glam::DVec4::W).abs().max_element();
+    (matrix.is_finite() && off <= 8.0 * f64::from(f32::EPSILON)).then(|| DAffine3::from_mat4(matrix))
 }
 
 /// The rotation of a quaternion of `f32` of about unit length; none when it has no direction.

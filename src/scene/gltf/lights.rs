@@ -8,17 +8,18 @@
 //! is then none of its own and never blocks it.
 
 use std::cell::LazyCell;
-use std::collections::HashSet;
+use std::collections::{BTreeMap, HashSet};
 use std::f64::consts::PI;
 
 use glam::{DMat3, DVec2, DVec3};
+use gltf::json::Root;
 use gltf::json::extensions::scene::khr_lights_punctual as punctual;
 use gltf::json::validation::Checked;
 use serde::Deserialize;
 use serde::de::IgnoredAny;
 use serde_json::Value;
 
-use super::document::{Document, Parsed, extension, fault, item, one_line, quoted};
+use super::document::{Parsed, extension, fault, item, one_line, quoted};
 use super::hierarchy::{Hierarchy, direction};
 use super::materials::Source;
 use super::{Warnings, name_or};
@@ -123,9 +124,9 @@ struct Listed<'a> {
 }
 
 impl<'a> Listed<'a> {
-    fn new(document: &'a Document) -> Parsed<Self> {
+    fn new(root: &'a Root) -> Parsed<Self> {
         let mut listed = Self { area: Vec::new(), punctual: Vec::new() };
-        let Some(extensions) = &document.root.extensions else { return Ok(listed) };
+        let Some(extensions) = &root.extensions else { return Ok(listed) };
         if let Some(value) = extensions.others.get("EXT_lights_area") {
             listed.area = extension::<AreaLights>(value, "extensions.EXT_lights_area")?.lights;
         }
@@ -137,15 +138,20 @@ impl<'a> Listed<'a> {
     }
 }
 
+/// Which two-sided rectangles emit from their back: by node and number of the rectangle there. Decided once, in the file's own
+/// pose, lest a light turn over in the middle of an animation.
+pub(super) type Sides = BTreeMap<(usize, usize), bool>;
+
 /// The lights of the scene's nodes, in file order. `scene` has its nodes, meshes and instances, in world space.
 pub(super) fn load(
-    document: &Document,
+    root: &Root,
     hierarchy: &Hierarchy,
     materials: &[Source],
     scene: &Scene,
+    sides: &mut Sides,
     warnings: &mut Warnings,
 ) -> Parsed<Vec<AreaLight>> {
-    let listed = Listed::new(document)?;
+    let listed = Listed::new(root)?;
     let node_names: HashSet<&str> = scene.nodes.iter().map(|node| node.name.as_str()).collect();
     let center = LazyCell::new(|| scene.bounds().center());
     let mut lights = Vec::new();
@@ -157,7 +163,7 @@ pub(super) fn load(
             let material = scene.meshes[scene.instances[instance].mesh].material?;
             Some((instance, &materials[material], materials[material].emission?))
         });
-        if let Some(mut light) = explicit(document, hierarchy, &listed, node)? {
+        if let Some(mut light) = explicit(root, hierarchy, &listed, node)? {
             light.own_instance = emissive.map(|(instance, ..)| instance).next();
             for name in light.light_exclude.iter().chain(&light.shadow_exclude) {
                 if !node_names.contains(name.as_str()) {
@@ -188,7 +194,8 @@ pub(super) fn load(
                     "emits from both sides, of which only the one towards the scene's centre is taken",
                     &light.name,
                 );
-                if light.axis().dot(*center - light.scene_from_light.translation) < 0.0 {
+                let faces_away = || light.axis().dot(*center - light.scene_from_light.translation) < 0.0;
+                if *sides.entry((node, instance - first)).or_insert_with(faces_away) {
                     let turned = DMat3::from_diagonal(DVec3::new(-1.0, 1.0, -1.0));
                     light.scene_from_light.matrix3 *= turned;
                 }
@@ -211,8 +218,8 @@ fn add(lights: &mut Vec<AreaLight>, mut light: AreaLight, node: usize) -> Parsed
 }
 
 /// The light that a node's extensions describe.
-fn explicit(document: &Document, hierarchy: &Hierarchy, listed: &Listed, node: usize) -> Parsed<Option<AreaLight>> {
-    let json = &document.root.nodes[node];
+fn explicit(root: &Root, hierarchy: &Hierarchy, listed: &Listed, node: usize) -> Parsed<Option<AreaLight>> {
+    let json = &root.nodes[node];
     let Some(extensions) = &json.extensions else { return Ok(None) };
     let place = |name: &str| format!("nodes[{node}].extensions.{name}");
     let ext = match extensions.others.get("EXT_lights_area") {

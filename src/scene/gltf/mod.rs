@@ -5,15 +5,19 @@
 //! KHR_mesh_quantization) nor its readers (they panic on bad ranges) are used.
 //!
 //! Memory and time are bounded by the size of the file, JSON and buffers together: 2²⁰ vertices and triangles and 4 more for
-//! each byte, 2²⁰ instances and 1 more for each byte, 2²⁶ texels and 256 more for each byte of image files, 2¹⁶ lights. Files
-//! whose accessors don't share their bytes stay below by themselves.
+//! each byte, as many again of deformed meshes in a pose, 2²⁰ numbers of keys and 4 more for each byte, 2²⁰ instances and 1 more
+//! for each byte, 2²⁶ texels and 256 more for each byte of image files, 2¹⁶ lights. Files whose accessors don't share their bytes
+//! stay below by themselves.
 
 mod accessor;
+mod animation;
+mod deformers;
 mod document;
 mod geometry;
 mod hierarchy;
 mod lights;
 mod materials;
+mod model;
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -21,51 +25,91 @@ use std::sync::Arc;
 
 use glam::{DAffine3, DVec3};
 use gltf::json::accessor::{ComponentType, Type};
-use gltf::json::camera;
 use gltf::json::validation::Checked;
+use gltf::json::{Root, camera};
 use serde::Deserialize;
 
 use self::accessor::Accessor;
-use self::document::{Document, Parsed, extension, fault, item, one_line, quoted};
-use self::geometry::Geometry;
-use self::hierarchy::{Hierarchy, check_transform, rotation_of};
-use super::{Bounds, Camera, Instance, LoadOptions, MAX_COORDINATE, Mesh, Node, Projection, Scene, UniqueNames};
+use self::document::{Document, Fault, Parsed, extension, fault, item, one_line, quoted};
+use self::hierarchy::{Hierarchy, rotation_of};
+pub(super) use self::model::Model;
+use super::animation::Animated;
+use super::{Camera, LoadOptions, MAX_COORDINATE, Projection, Scene, UniqueNames};
 use crate::{Error, Result};
 
 /// What a file of no size may have of anything that few bytes can multiply.
 const FREE_ELEMENTS: u64 = 1 << 20;
 
-/// Loads a .gltf or .glb file with all that it refers to.
+/// Loads a .gltf or .glb file with all that it refers to, as its nodes pose it.
 pub fn load(path: &Path, options: LoadOptions) -> Result<Scene> {
-    let name = path.display().to_string();
+    let (bytes, name) = read(path)?;
+    load_slice(&bytes, Some(directory_of(path)), &name, options)
+}
+
+/// Loads a .gltf or .glb from memory, as its nodes pose it. Relative URIs are looked up in `base_dir`; without one they are an
+/// error. `name` stands for the file in messages.
+pub fn load_slice(bytes: &[u8], base_dir: Option<&Path>, name: &str, options: LoadOptions) -> Result<Scene> {
+    let load = || {
+        let document = Document::parse(bytes, base_dir)?;
+        let is_animated = !document.animations.is_empty();
+        let (_, _, mut scene) = Model::new(document, name, options, false)?;
+        if is_animated {
+            scene.warnings.push(NOT_PLAYED.into());
+        }
+        Ok(scene)
+    };
+    load().map_err(|fault| error(name, &fault))
+}
+
+/// Loads a .gltf or .glb file with its animations.
+pub fn load_animated(path: &Path, options: LoadOptions) -> Result<Animated> {
+    let (bytes, name) = read(path)?;
+    load_animated_slice(&bytes, Some(directory_of(path)), &name, options)
+}
+
+/// Loads a .gltf or .glb with its animations from memory; see [`load_slice`].
+pub fn load_animated_slice(
+    bytes: &[u8],
+    base_dir: Option<&Path>,
+    name: &str,
+    options: LoadOptions,
+) -> Result<Animated> {
+    let load = || {
+        let (model, clips, _) = Model::new(Document::parse(bytes, base_dir)?, name, options, true)?;
+        Ok(Animated::gltf(model, clips))
+    };
+    load().map_err(|fault| error(name, &fault))
+}
+
+/// What a file's animations come to where none is asked for.
+const NOT_PLAYED: &str = "rendered at the pose of the file's nodes: --frames renders its animation";
+
+fn read(path: &Path) -> Result<(Vec<u8>, String)> {
     let is_file = path.metadata().map_err(|error| Error::io(path, error))?.is_file();
     if !is_file {
         return Err(Error::io(path, std::io::Error::other("not a regular file")));
     }
     let bytes = std::fs::read(path).map_err(|error| Error::io(path, error))?;
-    load_slice(&bytes, Some(path.parent().unwrap_or(Path::new(""))), &name, options)
+    Ok((bytes, path.display().to_string()))
 }
 
-/// Loads a .gltf or .glb from memory. Relative URIs are looked up in `base_dir`; without one they are an error. `name` stands
-/// for the file in messages.
-pub fn load_slice(bytes: &[u8], base_dir: Option<&Path>, name: &str, options: LoadOptions) -> Result<Scene> {
-    let scene = Document::parse(bytes, base_dir).and_then(|document| build(&document, name, options));
-    let mut scene = scene.map_err(|fault| Error::Scene {
-        path: name.into(),
-        place: one_line(&fault.place, 200),
-        message: one_line(&fault.message, 400),
-    })?;
-    scene.rebase();
-    Ok(scene)
+fn directory_of(path: &Path) -> &Path {
+    path.parent().unwrap_or(Path::new(""))
+}
+
+/// A fault as users see it.
+fn error(name: &str, fault: &Fault) -> Error {
+    Error::Scene { path: name.into(), place: one_line(&fault.place, 200), message: one_line(&fault.message, 400) }
 }
 
 /// Remarks about a file: one line for each kind, with the names of what it is about.
-#[derive(Default)]
+#[derive(Debug, Clone, Default)]
 struct Warnings {
     remarks: Vec<Remark>,
 }
 
 /// A remark and what it is about.
+#[derive(Debug, Clone)]
 struct Remark {
     what: &'static str,
     /// The first few names, each once.
@@ -111,101 +155,14 @@ fn name_or(name: Option<&str>, kind: &str, index: usize) -> String {
     }
 }
 
-/// The scene in world space.
-fn build(document: &Document, name: &str, options: LoadOptions) -> Parsed<Scene> {
-    let root = &document.root;
-    let mut warnings = Warnings::default();
-    let hierarchy = Hierarchy::new(root)?;
-    let shown_meshes = geometry::shown_meshes(document, &hierarchy)?;
-    let used_materials = geometry::used_materials(document, &shown_meshes)?;
-    let materials = materials::load(document, options, &used_materials, &mut warnings)?;
-    let geometry = geometry::load(document, &shown_meshes, &materials, &mut warnings)?;
-
-    let nodes = root.nodes.iter().zip(&hierarchy.parents).enumerate();
-    // In full, for exclusion lists refer to them.
-    let nodes = nodes.map(|(i, (node, &parent))| {
-        let name = node.name.clone().filter(|name| !name.is_empty());
-        Node { name: name.unwrap_or_else(|| format!("node {i}")), parent }
-    });
-    let instances = instances(document, &hierarchy, &geometry)?;
-    let mut scene = Scene {
-        name: name.into(),
-        nodes: nodes.collect(),
-        meshes: geometry.meshes,
-        instances,
-        cameras: cameras(document, &hierarchy)?,
-        ..Scene::default()
-    };
-    let lights = lights::load(document, &hierarchy, &materials, &scene, &mut warnings)?;
-    scene.add_lights(lights);
-    scene.materials = materials.into_iter().map(|source| source.material).collect();
-
-    for &node in &hierarchy.shown {
-        if root.nodes[node].skin.is_some() {
-            warnings.add("skins are not applied (the bind pose is shown)", &scene.nodes[node].name);
-        }
-    }
-    scene.warnings = warnings.lines();
-    if document.animated {
-        scene.warnings.push("animations are not played: nodes stay where the file puts them".into());
-    }
-    if scene.instances.is_empty() {
-        scene.warnings.push("the scene has no triangles: nothing will be seen".into());
-    }
-    Ok(scene)
-}
-
 /// `EXT_mesh_gpu_instancing` at a node.
 #[derive(Deserialize)]
 struct GpuInstancing {
     attributes: BTreeMap<String, u32>,
 }
 
-/// The uses of meshes, in the order of their nodes.
-fn instances(document: &Document, hierarchy: &Hierarchy, geometry: &Geometry) -> Parsed<Vec<Instance>> {
-    let bounds: Vec<Bounds> = geometry.meshes.iter().map(Mesh::bounds).collect();
-    let budget = FREE_ELEMENTS.saturating_add(document.size);
-    let mut instances = Vec::new();
-    for &node in &hierarchy.shown {
-        let json = &document.root.nodes[node];
-        let meshes = json.mesh.map_or(&[][..], |mesh| &geometry.meshes_of[mesh.value()]);
-        if meshes.is_empty() {
-            continue;
-        }
-        let copies = copies(document, node)?;
-        let more = copies.as_ref().map_or(1, |copies| copies.count) as u64 * meshes.len() as u64;
-        if instances.len() as u64 + more > budget {
-            let message =
-                format!("too many instances for its size: a file of {} bytes may have {budget}", document.size);
-            return Err(fault(format!("nodes[{node}]"), message));
-        }
-        let world_from_node = hierarchy.world(node)?;
-        let mut add = |world_from_mesh: DAffine3, place: &dyn Fn() -> String| {
-            check_transform(&world_from_mesh, place)?;
-            for &mesh in meshes {
-                let corners = bounds[mesh].corners().map(|corner| world_from_mesh.transform_point3(corner));
-                if corners.iter().any(|corner| corner.abs().max_element() > MAX_COORDINATE) {
-                    let message = format!("its geometry goes beyond {MAX_COORDINATE:e} in world space");
-                    return Err(fault(place(), message));
-                }
-                instances.push(Instance { mesh, node, scene_from_mesh: world_from_mesh });
-            }
-            Ok(())
-        };
-        match copies {
-            None => add(world_from_node, &|| format!("nodes[{node}]"))?,
-            Some(copies) => {
-                for i in 0..copies.count {
-                    let place = || format!("nodes[{node}].extensions.EXT_mesh_gpu_instancing, instance {i}");
-                    add(world_from_node * copies.transform(i, place)?, &place)?;
-                }
-            }
-        }
-    }
-    Ok(instances)
-}
-
 /// Decoded attributes of `EXT_mesh_gpu_instancing`.
+#[derive(Debug)]
 struct Copies {
     count: usize,
     translations: Option<Arc<[DVec3]>>,
@@ -270,13 +227,13 @@ fn copies(document: &Document, node: usize) -> Parsed<Option<Copies>> {
     Ok(Some(Copies { count, translations: vectors("TRANSLATION")?, rotations, scales: vectors("SCALE")? }))
 }
 
-fn cameras(document: &Document, hierarchy: &Hierarchy) -> Parsed<Vec<Camera>> {
+fn cameras(root: &Root, hierarchy: &Hierarchy) -> Parsed<Vec<Camera>> {
     let mut cameras = Vec::new();
     let mut names = UniqueNames::default();
     for &node in &hierarchy.shown {
-        let json = &document.root.nodes[node];
+        let json = &root.nodes[node];
         let Some(index) = json.camera.map(|camera| camera.value()) else { continue };
-        let camera = item(&document.root.cameras, "cameras", index, || format!("nodes[{node}].camera"))?;
+        let camera = item(&root.cameras, "cameras", index, || format!("nodes[{node}].camera"))?;
         let (projection, near, far) = projection(camera, index)?;
         let named = camera.name.as_deref().filter(|name| !name.is_empty());
         cameras.push(Camera {

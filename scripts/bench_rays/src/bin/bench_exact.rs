@@ -175,7 +175,7 @@ fn costs_of(name: &str, scenes: &Path) -> Outcome<Vec<Cost>> {
     let receivers = judged.receivers(&bvh)?;
     let progress = Progress::default();
     let scene = &judged.scene;
-    let frame = Frame { scene, bvh: &bvh, receivers: &receivers, irradiance: false, progress: &progress };
+    let frame = Frame { scene, bvh: &bvh, receivers: &receivers, irradiance: false, progress: &progress, buffers: None };
     let light = &judged.lights[0];
     let linking = Linking::of(scene, light);
     let hits: Vec<_> = judged::scattered(&receivers).take(RECEIVERS).collect();

@@ -85,7 +85,7 @@ fn judge(name: &str, judged: &Judged, embree: &Embree, failures: &mut Vec<String
     let receivers = judged.receivers(&bvh)?;
     let progress = Progress::default();
     let frame =
-        Frame { scene: &judged.scene, bvh: &bvh, receivers: &receivers, irradiance: false, progress: &progress };
+        Frame { scene: &judged.scene, bvh: &bvh, receivers: &receivers, irradiance: false, progress: &progress, buffers: None };
     let middle = middle(&receivers);
     let embree_scene = embree.build(&flatten(&judged.scene, middle));
     let mut lights = Vec::new();

@@ -1,0 +1,220 @@
+//! `bench`: techniques measured against each other and against the exact answer, over a suite of scenes.
+//!
+//! A suite ([`suite`]) is read and checked as a whole, then measured configuration by configuration ([`measure`]); after each,
+//! [`results`] are on disk, and a later run goes on from there. [`report`] draws what [`analysis`] makes of them.
+
+pub mod analysis;
+pub mod chart;
+pub mod measure;
+pub mod report;
+pub mod results;
+pub mod suite;
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use image::DynamicImage;
+use image::imageops::FilterType;
+
+use self::measure::Subject;
+use self::results::{Machine, Outcome, Record, Results};
+use self::suite::{Configuration, Group, Plan};
+use crate::image::{Image, write_png};
+use crate::metrics::{self, Map};
+use crate::progress::Progress;
+use crate::techniques::Context;
+use crate::{Error, Result};
+
+/// What happens, for who waits.
+#[derive(Debug, Clone)]
+pub enum Event {
+    /// So many configurations will be measured.
+    Planned(usize),
+    /// Something has begun.
+    Started(String),
+    /// A configuration is through.
+    Finished,
+    /// What a reader should know.
+    Warning(String),
+}
+
+/// How it went.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Summary {
+    /// Configurations measured now.
+    pub measured: usize,
+    /// Configurations that had been measured before.
+    pub kept: usize,
+    /// Configurations that can't be done.
+    pub failed: usize,
+    /// Configurations that this machine can't run.
+    pub skipped: usize,
+    /// What to look at.
+    pub report: PathBuf,
+}
+
+/// Where everything goes.
+struct Places<'a> {
+    directory: &'a Path,
+    cache: PathBuf,
+}
+
+/// Width of the report's pictures, pixels, at most.
+const PICTURE_WIDTH: u32 = 480;
+
+impl Places<'_> {
+    fn results(&self) -> PathBuf {
+        self.directory.join("results.json")
+    }
+
+    fn write_results(&self, results: &Results) -> Result<()> {
+        results.write(&self.results())
+    }
+
+    fn write_visibility(&self, key: &str, image: &Image) -> Result<()> {
+        let picture = image.visibility_png(&image.light_names()[0]).expect("every light has visibility");
+        write_png(&picture_path(self.directory, key), at_most(picture.into()))
+    }
+
+    fn write_difference(&self, key: &str, image: &Image, reference: &Image) -> Result<()> {
+        let picture = metrics::heatmap(image, reference, &image.light_names()[0], Map::Difference)?;
+        write_png(&difference_path(self.directory, key), at_most(picture.into()))
+    }
+}
+
+/// The picture of a configuration's visibility, or of a group's reference.
+fn picture_path(directory: &Path, key: &str) -> PathBuf {
+    directory.join("pictures").join(format!("{key}.png"))
+}
+
+/// The picture of how a configuration differs from its reference.
+fn difference_path(directory: &Path, key: &str) -> PathBuf {
+    directory.join("pictures").join(format!("{key}.difference.png"))
+}
+
+fn at_most(picture: DynamicImage) -> DynamicImage {
+    if picture.width() <= PICTURE_WIDTH {
+        return picture;
+    }
+    picture.resize(PICTURE_WIDTH, u32::MAX, FilterType::Triangle)
+}
+
+/// Runs a suite: what `directory` holds already is kept, the rest is measured.
+///
+/// # Errors
+/// A suite or results that can't be read, in one line; [`Error::Cancelled`], with everything that is done on disk. What a
+/// single configuration can't do is a record.
+pub fn run(
+    suite: &Path,
+    directory: &Path,
+    cache: Option<&Path>,
+    progress: &Progress,
+    watch: &mut dyn FnMut(Event),
+) -> Result<Summary> {
+    let machine = Machine::this();
+    watch(Event::Started("checking the suite".into()));
+    let plan = Plan::read(suite, &machine, progress)?;
+    let places = Places { directory, cache: cache.map_or_else(|| directory.join("cache"), Path::to_path_buf) };
+    let mut results = Results::read(&places.results())?;
+    fs::create_dir_all(directory.join("pictures")).map_err(|cause| Error::io(directory, cause))?;
+
+    results.suite.clone_from(&plan.name);
+    let mut summary = Summary { report: directory.join("report.html"), ..Summary::default() };
+    let mut to_do: Vec<&Configuration> = Vec::new();
+    for configuration in &plan.configurations {
+        let group = &plan.groups[configuration.group];
+        let record = |outcome| Record::new(configuration, group, &machine, outcome);
+        if let Some(message) = &configuration.skipped {
+            results.put(record(Outcome::Skipped { message: message.clone() }));
+            summary.skipped += 1;
+            continue;
+        }
+        match results.find(&configuration.key).filter(|found| found.measured().is_some()).cloned() {
+            // Names may have changed.
+            Some(Record { outcome, date, .. }) => {
+                results.put(Record { date, ..record(outcome) });
+                summary.kept += 1;
+            }
+            None => to_do.push(configuration),
+        }
+    }
+    results.sort(&plan.configurations);
+    places.write_results(&results)?;
+
+    watch(Event::Planned(to_do.len()));
+    let measured = measure_all(&plan, &to_do, &machine, &places, &mut results, &mut summary, progress, watch);
+    // What is done is reported even where the rest was cancelled.
+    results.sort(&plan.configurations);
+    places.write_results(&results)?;
+    results.write_csv(&directory.join("results.csv"))?;
+    report::write(&summary.report, &plan, &results, directory)?;
+    measured.map(|()| summary)
+}
+
+#[expect(clippy::too_many_arguments, reason = "all of a run's state, used once")]
+fn measure_all(
+    plan: &Plan,
+    to_do: &[&Configuration],
+    machine: &Machine,
+    places: &Places,
+    results: &mut Results,
+    summary: &mut Summary,
+    progress: &Progress,
+    watch: &mut dyn FnMut(Event),
+) -> Result<()> {
+    for (index, group) in plan.groups.iter().enumerate() {
+        let configurations: Vec<&&Configuration> = to_do.iter().filter(|c| c.group == index).collect();
+        if configurations.is_empty() {
+            continue;
+        }
+        watch(Event::Started(format!("{}: reference", group.label())));
+        let subject = match subject(group, places, progress) {
+            Err(Error::Cancelled) => return Err(Error::Cancelled),
+            Ok((subject, warnings)) => {
+                warnings.into_iter().for_each(|warning| watch(Event::Warning(warning)));
+                places.write_visibility(&group.key, &subject.reference)?;
+                Ok(subject)
+            }
+            Err(error) => Err(error.to_string()),
+        };
+        for configuration in configurations {
+            watch(Event::Started(format!("{}: {} {}", group.label(), configuration.entry.name, configuration.label())));
+            let outcome = match &subject {
+                Err(message) => Err(message.clone()),
+                Ok(subject) => match measure(configuration, subject, plan, places, progress) {
+                    Err(Error::Cancelled) => return Err(Error::Cancelled),
+                    outcome => outcome.map_err(|error| error.to_string()),
+                },
+            };
+            let outcome = outcome.unwrap_or_else(|message| Outcome::Failed { message });
+            match &outcome {
+                Outcome::Done(_) => summary.measured += 1,
+                Outcome::Failed { .. } | Outcome::Skipped { .. } => summary.failed += 1,
+            }
+            results.put(Record::new(configuration, group, machine, outcome));
+            places.write_results(results)?;
+            watch(Event::Finished);
+        }
+    }
+    Ok(())
+}
+
+fn subject(group: &Group, places: &Places, progress: &Progress) -> Result<(Subject, Vec<String>)> {
+    Subject::new(group.load()?, group.size, &places.cache, progress)
+}
+
+fn measure(
+    configuration: &Configuration,
+    subject: &Subject,
+    plan: &Plan,
+    places: &Places,
+    progress: &Progress,
+) -> Result<Outcome> {
+    // A context of its own: what a GPU held at most is then this configuration's.
+    let context = Context::default();
+    let technique = (configuration.entry.build)(&context, &configuration.settings)?;
+    let (measured, image) = subject.measure(technique.as_ref(), plan.timing, progress)?;
+    places.write_visibility(&configuration.key, &image)?;
+    places.write_difference(&configuration.key, &image, &subject.reference)?;
+    Ok(Outcome::Done(Box::new(measured)))
+}

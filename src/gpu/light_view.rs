@@ -1,0 +1,234 @@
+//! A light and the receivers that it faces, as shadow maps see them: in one frame around the light, in `f32`.
+
+use glam::{DVec2, DVec3, Vec3};
+use rayon::prelude::*;
+
+use super::Gpu;
+use super::scene::{DrawList, DrawSpace, Part, SceneBuffers, unit_above};
+use crate::Result;
+use crate::closed_forms::{disk_edge_fraction, rect_edge_fraction};
+use crate::geometry::irradiance;
+use crate::geometry::shaft::{Shaft, light_bounds};
+use crate::gpu_struct;
+use crate::receivers::Receiver;
+use crate::scene::light::{Domain, Emitter};
+use crate::scene::{AreaLight, Bounds};
+use crate::techniques::{Frame, LightImage, Linking};
+
+gpu_struct! {
+    /// Twin of `Receiver` in `lib/shadow_map.wgsl`.
+    struct GpuReceiver as Receiver {
+        pub position: Vec3,
+        pub number: u32,
+        pub normal: Vec3,
+        pub padding: u32,
+        pub shading_normal: Vec3,
+        pub padding_2: u32,
+    }
+}
+
+/// Sides of the tiles of pixels whose receivers are bounded together, pixels.
+const TILE: u32 = 16;
+
+/// A light with all that its maps need.
+#[derive(Debug)]
+pub struct LightView<'a> {
+    /// Where the work is done.
+    pub gpu: &'a Gpu,
+    /// The scene's geometry.
+    pub buffers: &'a SceneBuffers,
+    /// The surface that stands for the light, as it faces the middle of the receivers; on the GPU's scale and relative to its
+    /// origin.
+    pub emitter: Emitter,
+    /// Of positions on the GPU: from the middle of the receivers, in units in which nothing is far beyond 1.
+    pub space: DrawSpace,
+    /// What can lie between, relative to `origin`.
+    pub casters: DrawList,
+    /// Bounds of what can lie between, on the GPU.
+    pub caster_bounds: Bounds,
+    /// Bounds of the receivers, on the GPU.
+    pub receiver_bounds: Bounds,
+    /// Bounds of receivers by tile, on the GPU.
+    pub tiles: Vec<Bounds>,
+    /// The receivers in as many buffers as the adapter's limits ask for.
+    pub chunks: Vec<Chunk>,
+    /// By pixel, whether the light faces its receiver.
+    facing: Vec<bool>,
+}
+
+/// Some of the receivers.
+#[derive(Debug)]
+pub struct Chunk {
+    /// Their pixels.
+    pub pixels: Vec<u32>,
+    /// Their data: `array<Receiver>`.
+    pub buffer: wgpu::Buffer,
+}
+
+/// Receivers of one workgroup in a technique's shader.
+pub const WORKGROUP: u32 = 64;
+
+impl<'a> LightView<'a> {
+    /// What a light's maps need; none where the light faces no receiver.
+    ///
+    /// # Errors
+    /// [`crate::Error::Gpu`] where the receivers don't fit.
+    pub fn new(gpu: &'a Gpu, frame: &'a Frame, light: &AreaLight) -> Result<Option<Self>> {
+        let buffers = frame.buffers.expect("a technique with a GPU is given the scene on it");
+        let linking = Linking::of(frame.scene, light);
+        let pixels = &frame.receivers.pixels;
+        let is_facing = |receiver: &Receiver| {
+            linking.lights(receiver)
+                && light.emitter(receiver.position).is_some_and(|emitter| irradiance::reaches(&emitter, receiver))
+        };
+        let facing: Vec<bool> =
+            pixels.par_iter().with_min_len(1024).map(|pixel| pixel.as_ref().is_some_and(is_facing)).collect();
+        let lit = |number: usize| pixels[number].as_ref().filter(|_| facing[number]);
+
+        let receiver_bounds: Bounds = (0..pixels.len()).filter_map(lit).map(|receiver| receiver.position).collect();
+        let Some(first) = (0..pixels.len()).find_map(lit) else { return Ok(None) };
+        let origin = receiver_bounds.center();
+        // From the middle a light may be seen from behind, or from within; every receiver that it faces sees it.
+        let (seen_from, emitter) = [origin, first.position]
+            .into_iter()
+            .find_map(|position| Some((position, light.emitter(position)?)))
+            .expect("the light faces the first receiver");
+
+        let shaft = Shaft::between(&receiver_bounds, &light_bounds(light, &receiver_bounds, &frame.scene.bounds()));
+        let blocks: Vec<bool> = (0..frame.scene.instances.len() as u32).map(|i| linking.blocks(i)).collect();
+        let is_caster = |i: usize, bounds: &Bounds| light.casts_shadow && blocks[i] && !shaft.excludes(bounds);
+        let caster_bounds = (0..blocks.len())
+            .map(|i| (i, frame.bvh.instance_bounds(i)))
+            .filter(|(i, bounds)| is_caster(*i, bounds))
+            .fold(Bounds::EMPTY, |all, (_, bounds)| all.union(bounds));
+        let corners = caster_bounds.union(receiver_bounds).corners();
+        let reach = corners.iter().map(|&corner| (corner - origin).abs().max_element()).fold(0.0, f64::max);
+        let space = DrawSpace { origin, unit: unit_above(reach) };
+        let on_gpu = |position: DVec3| (position - origin) / space.unit;
+        let [width, height] = frame.receivers.size;
+        let columns = width.div_ceil(TILE);
+        let tile_of = |tile: u32| {
+            let (x, y) = (tile % columns * TILE, tile / columns * TILE);
+            let rows = y..(y + TILE).min(height);
+            let numbers = rows.flat_map(|y| (x..(x + TILE).min(width)).map(move |x| (y * width + x) as usize));
+            numbers.filter_map(lit).map(|receiver| on_gpu(receiver.position)).collect::<Bounds>()
+        };
+        let tiles: Vec<Bounds> = (0..columns * height.div_ceil(TILE))
+            .into_par_iter()
+            .map(tile_of)
+            .filter(|bounds| !bounds.is_empty())
+            .collect();
+
+        let numbers: Vec<u32> = (0..pixels.len() as u32).filter(|&number| facing[number as usize]).collect();
+        let chunks = numbers
+            .chunks(most_receivers(gpu))
+            .map(|numbers| {
+                let receiver = |&number: &u32| {
+                    let receiver = pixels[number as usize].as_ref().expect("only hits face the light");
+                    GpuReceiver {
+                        position: on_gpu(receiver.position).as_vec3(),
+                        number,
+                        normal: receiver.normal.as_vec3(),
+                        padding: 0,
+                        shading_normal: receiver.shading_normal.as_vec3(),
+                        padding_2: 0,
+                    }
+                };
+                let data: Vec<GpuReceiver> = numbers.par_iter().map(receiver).collect();
+                let buffer = gpu.buffer("receivers", &data, wgpu::BufferUsages::STORAGE)?;
+                Ok(Chunk { pixels: numbers.to_vec(), buffer })
+            })
+            .collect::<Result<_>>()?;
+        let casters = buffers.draw_list(gpu, frame.scene, space, Part::Chunk, is_caster)?;
+        // A distant emitter is made of directions, which have no scale.
+        let emitter = if emitter.distant {
+            emitter
+        } else {
+            Emitter {
+                center: on_gpu(seen_from + emitter.center),
+                half_u: emitter.half_u / space.unit,
+                half_v: emitter.half_v / space.unit,
+                ..emitter
+            }
+        };
+        Ok(Some(Self {
+            gpu,
+            buffers,
+            emitter,
+            space,
+            caster_bounds: casters.bounds(),
+            casters,
+            receiver_bounds: Bounds { min: on_gpu(receiver_bounds.min), max: on_gpu(receiver_bounds.max) },
+            tiles,
+            chunks,
+            facing,
+        }))
+    }
+
+    /// The image of a light: `answer` gives V and, if asked for, E/E₀ of the `i`th receiver of a chunk; where the light faces
+    /// nothing V is 0.
+    pub fn image(
+        view: Option<&Self>,
+        frame: &Frame,
+        light: &AreaLight,
+        answer: impl Fn(usize, usize, &Receiver) -> (f64, f64) + Sync,
+    ) -> LightImage {
+        let pixels = &frame.receivers.pixels;
+        let missed = |pixel: &Option<Receiver>| if pixel.is_some() { 0.0 } else { 1.0 };
+        let mut visibility: Vec<f32> = pixels.iter().map(missed).collect();
+        let mut ratio = visibility.clone();
+        let mut irradiance = vec![[0.0f32; 3]; if frame.irradiance { pixels.len() } else { 0 }];
+        for (at, chunk) in view.map_or(&[][..], |view| &view.chunks).iter().enumerate() {
+            let of = |(i, &number): (usize, &u32)| {
+                let receiver = pixels[number as usize].as_ref().expect("only hits face the light");
+                let (seen, share) = answer(at, i, receiver);
+                let rgb = if frame.irradiance && share > 0.0 {
+                    share * irradiance::unshadowed(light, receiver)
+                } else {
+                    DVec3::ZERO
+                };
+                (
+                    number as usize,
+                    seen as f32,
+                    rgb.as_vec3().to_array(),
+                    if rgb == DVec3::ZERO { 0.0 } else { share as f32 },
+                )
+            };
+            let answers: Vec<_> = chunk.pixels.par_iter().enumerate().with_min_len(1024).map(of).collect();
+            for (number, seen, rgb, share) in answers {
+                visibility[number] = seen;
+                ratio[number] = share;
+                if frame.irradiance {
+                    irradiance[number] = rgb;
+                }
+            }
+        }
+        LightImage {
+            visibility,
+            irradiance,
+            irradiance_ratio: if frame.irradiance { ratio } else { Vec::new() },
+            facing: view.map_or_else(|| vec![false; pixels.len()], |view| view.facing.clone()),
+            ..LightImage::default()
+        }
+    }
+}
+
+/// How many receivers one buffer may hold, and one dispatch may take.
+fn most_receivers(gpu: &Gpu) -> usize {
+    let limits = gpu.device.limits();
+    let bytes = limits.max_storage_buffer_binding_size.min(limits.max_buffer_size);
+    let by_memory = bytes / size_of::<GpuReceiver>() as u64;
+    let by_dispatch = u64::from(limits.max_compute_workgroups_per_dimension) * u64::from(WORKGROUP);
+    by_memory.min(by_dispatch) as usize
+}
+
+/// The fraction of an emitter's area above a receiver's tangent plane; the emitter is relative to the receiver.
+pub fn fraction_above(emitter: &Emitter, receiver: &Receiver) -> f64 {
+    // n · (center + u half_u + v half_v) > 0, over the domain of u and v.
+    let support = DVec2::new(receiver.normal.dot(emitter.half_u).abs(), receiver.normal.dot(emitter.half_v).abs());
+    let height = receiver.normal.dot(emitter.center);
+    match emitter.domain {
+        Domain::Disk => disk_edge_fraction(height / support.length()),
+        Domain::Rect | Domain::Point => rect_edge_fraction(height, support),
+    }
+}

@@ -1,0 +1,59 @@
+//! What the techniques with shadow maps see of small scenes, all on one adapter.
+
+use std::sync::LazyLock;
+
+use glam::DVec3;
+use penumbra::progress::Progress;
+use penumbra::receivers::Receivers;
+use penumbra::render::render_receivers;
+use penumbra::scene::Scene;
+use penumbra::techniques::{Context, Entry, LightImage, Technique, parse_settings};
+
+use crate::common::receivers;
+
+/// One adapter for all tests.
+pub static CONTEXT: LazyLock<Context> = LazyLock::new(Context::default);
+
+/// The techniques that read shadow maps.
+pub const MAPPED: [&str; 4] = ["hard", "pcf", "pcss", "uniform"];
+
+/// Texels on either side of its own that `pcf` reads as [`mapped`] makes it.
+pub const PCF_RADIUS: u32 = 1;
+
+/// A technique with settings.
+pub fn technique(name: &str, settings: &str) -> Box<dyn Technique> {
+    let parameters = parse_settings(settings).expect("settings");
+    (Entry::find(name).expect("there is").build)(&CONTEXT, &parameters).expect("builds")
+}
+
+/// One of [`MAPPED`] with small kernels and few samples.
+pub fn mapped(name: &str, map_size: u32) -> Box<dyn Technique> {
+    let own = match name {
+        "pcf" => "kernel=3",
+        "pcss" => "dense=true",
+        "uniform" => "samples=16",
+        _ => "",
+    };
+    technique(name, &format!("{own} map_size={map_size}"))
+}
+
+/// What a technique finds at receivers, a light each; every value is one that may be written.
+pub fn draw_receivers(scene: &Scene, receivers: Receivers, technique: &dyn Technique) -> Vec<LightImage> {
+    let lights = render_receivers(scene, receivers, technique, true, &Progress::default()).expect("renders").lights;
+    for image in &lights {
+        assert!(image.visibility.iter().all(|v| (0.0..=1.0).contains(v)), "{:?}", image.visibility);
+        assert!(image.irradiance_ratio.iter().all(|v| (0.0..=1.0).contains(v)), "{:?}", image.irradiance_ratio);
+        assert!(image.irradiance.iter().flatten().all(|e| e.is_finite() && *e >= 0.0), "{:?}", image.irradiance);
+    }
+    lights
+}
+
+/// What a technique finds at world positions with normal +Y, a light each.
+pub fn draw(scene: &Scene, positions_world: &[DVec3], technique: &dyn Technique) -> Vec<LightImage> {
+    draw_receivers(scene, receivers(scene, positions_world, DVec3::Y), technique)
+}
+
+/// V of the first light at world positions with normal +Y.
+pub fn drawn(scene: &Scene, positions_world: &[DVec3], technique: &dyn Technique) -> Vec<f32> {
+    draw(scene, positions_world, technique).swap_remove(0).visibility
+}
