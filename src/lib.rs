@@ -15,6 +15,7 @@ pub mod closed_forms;
 pub mod error;
 pub mod geometry;
 pub mod gpu;
+pub mod history;
 pub mod image;
 pub mod metrics;
 pub mod output;

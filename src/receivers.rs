@@ -74,10 +74,23 @@ impl Receivers {
         self.pixels.iter().flatten()
     }
 
+    /// Those of an image within a border of so many pixels on either side, and above and below.
+    pub fn within(&self, border: [u32; 2]) -> Self {
+        Self { size: [0, 1].map(|i| self.size[i] - 2 * border[i]), pixels: within(&self.pixels, self.size, border) }
+    }
+
     /// Bounds of the receivers, scene space.
     pub fn bounds(&self) -> Bounds {
         self.hits().map(|receiver| receiver.position).collect()
     }
+}
+
+/// The pixels of an image of `size` within a border; those of an image that holds none are none.
+pub fn within<T: Copy>(pixels: &[T], [width, _]: [u32; 2], [left, above]: [u32; 2]) -> Vec<T> {
+    let (width, left, above) = (width as usize, left as usize, above as usize);
+    let rows = pixels.chunks_exact(width);
+    let height = rows.len();
+    rows.take(height.saturating_sub(above)).skip(above).flat_map(|row| &row[left..width - left]).copied().collect()
 }
 
 /// A shading normal on the side of the geometric one.

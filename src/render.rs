@@ -9,8 +9,9 @@ use crate::geometry::bvh::{SceneBvh, is_out_of_view};
 use crate::geometry::shaft::{Shaft, light_bounds};
 use crate::gpu::scene::SceneBuffers;
 use crate::gpu::{Adapter, Gpu, gbuffer};
+use crate::history::{History, Shot};
 use crate::progress::{Progress, ms_since};
-use crate::receivers::{Receiver, Receivers};
+use crate::receivers::{Receiver, Receivers, within};
 use crate::reference::verify::{self, Verified};
 use crate::scene::{AreaLight, Bounds, Camera, Scene, Shape};
 use crate::techniques::{Frame, LightImage, Pass, Technique, add_passes};
@@ -84,25 +85,42 @@ pub fn render(
     request: &Request,
     progress: &Progress,
 ) -> Result<Rendering> {
+    render_after(None, scene, camera, technique, request, progress)
+}
+
+/// [`render`], after the frames of a history.
+fn render_after(
+    history: Option<&History>,
+    scene: &Scene,
+    camera: &Camera,
+    technique: &dyn Technique,
+    request: &Request,
+    progress: &Progress,
+) -> Result<Rendering> {
     if scene.lights.is_empty() {
         return Err(no_light(scene));
     }
-    check_memory(scene, u64::from(request.size[0]) * u64::from(request.size[1]))?;
+    let border = technique.border_px(request.size);
+    let seen_size = [0, 1].map(|i| u64::from(request.size[i]) + 2 * u64::from(border[i]));
+    check_memory(scene, seen_size[0] * seen_size[1])?;
     let passes = if request.irradiance || request.shaded { request.antialiasing.pow(2) } else { 0 };
-    let rows = u64::from(request.size[1]);
+    let rows = seen_size[1];
     let lights = scene.lights.len() as u64;
     let verify_steps = lights * request.verify.map_or(0, verify::steps);
     progress.begin(rows * u64::from(1 + passes) * (1 + lights) + verify_steps);
 
-    let mut view = View::new(scene, camera, request.size, technique.gpu())?;
-    let receivers = view.receivers(DVec2::splat(0.5), progress)?;
+    let shot = Shot { camera, size: request.size, border, pass: 0, offset_px: DVec2::splat(0.5), history };
+    let mut view = View::new(scene, shot, technique.gpu())?;
+    let seen = view.receivers(DVec2::splat(0.5), progress)?;
+    let inner = (border != [0; 2]).then(|| seen.within(border));
+    let receivers = inner.as_ref().unwrap_or(&seen);
     // With one receiver a pixel, the centre serves both quantities.
     let at_centers = passes <= 1;
-    let mut lights = view.lights(&receivers, technique, at_centers && passes == 1, progress)?;
+    let mut lights = view.lights(&seen, technique, at_centers && passes == 1, progress)?;
     let mut shaded = if request.shaded { vec![[0.0; 3]; receivers.pixels.len()] } else { Vec::new() };
     if at_centers {
         if request.shaded {
-            add_shaded(&mut shaded, scene, &receivers, &lights, 1.0);
+            add_shaded(&mut shaded, scene, receivers, &lights, 1.0);
         }
     } else {
         let n = request.antialiasing;
@@ -111,8 +129,10 @@ pub fn render(
         let mut shaded_sum = vec![[0f64; 3]; shaded.len()];
         for i in 0..passes {
             let offset = DVec2::new(f64::from(i % n) + 0.5, f64::from(i / n) + 0.5) / f64::from(n);
-            let receivers = view.receivers(offset, progress)?;
-            let lights = view.lights(&receivers, technique, true, progress)?;
+            view.shot = Some(Shot { pass: 1 + i, offset_px: offset, ..shot });
+            let seen = view.receivers(offset, progress)?;
+            let lights = view.lights(&seen, technique, true, progress)?;
+            let receivers = seen.within(border);
             for (sum, light) in sums.iter_mut().zip(&lights) {
                 accumulate(sum, &light.irradiance, share);
             }
@@ -135,11 +155,45 @@ pub fn render(
     if let Some(count) = request.verify {
         view.add_blockers(&view.reaching(&receivers.bounds()), &receivers.bounds());
         for pair in scene.lights.iter().zip(&lights) {
-            verified.push(verify::verify(scene, &view.bvh, &receivers, pair, count, progress)?);
+            verified.push(verify::verify(scene, &view.bvh, receivers, pair, count, progress)?);
         }
     }
     let verify_ms = ms_since(verify_start);
-    Ok(Rendering { shaded, verified, verify_ms, ..view.finish(receivers, lights) })
+    Ok(Rendering { shaded, verified, verify_ms, ..view.finish(inner.unwrap_or(seen), lights) })
+}
+
+/// Frames that follow each other: what a technique keeps from one for the next.
+#[derive(Debug)]
+pub struct Sequence<'t> {
+    technique: &'t dyn Technique,
+    history: History,
+}
+
+impl<'t> Sequence<'t> {
+    /// Before its first frame.
+    pub fn new(technique: &'t dyn Technique) -> Self {
+        Self { technique, history: History::default() }
+    }
+
+    /// The next frame: as [`render`], but that a technique may go on from the frames before.
+    ///
+    /// # Errors
+    /// As [`render`].
+    pub fn frame(
+        &mut self,
+        scene: &Scene,
+        camera: &Camera,
+        request: &Request,
+        progress: &Progress,
+    ) -> Result<Rendering> {
+        let rendering = render_after(Some(&self.history), scene, camera, self.technique, request, progress);
+        match &rendering {
+            Ok(_) => self.history.advance(scene, camera, request.size),
+            // What was kept so far is of no frame.
+            Err(_) => self.history = History::default(),
+        }
+        rendering
+    }
 }
 
 /// Evaluates the scene's lights at given receivers.
@@ -193,7 +247,7 @@ pub fn no_light(scene: &Scene) -> Error {
 /// A scene with the hierarchy that its view needs so far, or as a GPU holds it.
 struct View<'a> {
     scene: &'a Scene,
-    camera: Option<(&'a Camera, [u32; 2])>,
+    shot: Option<Shot<'a>>,
     gpu: Option<(&'a Gpu, SceneBuffers)>,
     bvh: SceneBvh<'a>,
     counters: Counters,
@@ -203,8 +257,9 @@ struct View<'a> {
 }
 
 impl<'a> View<'a> {
-    fn new(scene: &'a Scene, camera: &'a Camera, size: [u32; 2], gpu: Option<&'a Gpu>) -> Result<Self> {
-        let mut view = Self { camera: Some((camera, size)), ..Self::without_camera(scene, gpu)? };
+    fn new(scene: &'a Scene, shot: Shot<'a>, gpu: Option<&'a Gpu>) -> Result<Self> {
+        let Shot { camera, size, .. } = shot;
+        let mut view = Self { shot: Some(shot), ..Self::without_camera(scene, gpu)? };
         if gpu.is_none() {
             let start = Instant::now();
             let bounds: Vec<Bounds> = (0..scene.instances.len()).map(|i| view.bvh.instance_bounds(i)).collect();
@@ -219,7 +274,7 @@ impl<'a> View<'a> {
         let bvh = SceneBvh::new(scene);
         let gpu = gpu.map(|gpu| Ok::<_, Error>((gpu, SceneBuffers::new(gpu, scene)?))).transpose()?;
         let (counters, build_passes) = (Counters::default(), Vec::new());
-        Ok(Self { scene, camera: None, gpu, bvh, counters, build_ms: ms_since(start), build_passes, render_ms: 0.0 })
+        Ok(Self { scene, shot: None, gpu, bvh, counters, build_ms: ms_since(start), build_passes, render_ms: 0.0 })
     }
 
     fn finish(self, receivers: Receivers, lights: Vec<LightImage>) -> Rendering {
@@ -243,14 +298,14 @@ impl<'a> View<'a> {
 
     fn receivers(&mut self, offset_px: DVec2, progress: &Progress) -> Result<Receivers> {
         let start = Instant::now();
-        let (camera, size) = self.camera.expect("receivers come from a camera");
+        let Shot { camera, size, border, .. } = self.shot.expect("receivers come from a camera");
         let receivers = match &self.gpu {
             None => Receivers::find(&self.bvh, camera, size, offset_px, progress)?,
             Some((gpu, buffers)) => {
                 let (receivers, passes) =
-                    gbuffer::receivers(gpu, (self.scene, buffers, &self.bvh), camera, size, offset_px)?;
+                    gbuffer::receivers(gpu, (self.scene, buffers, &self.bvh), camera, (size, border), offset_px)?;
                 add_passes(&mut self.build_passes, passes);
-                progress.advance(u64::from(size[1]))?;
+                progress.advance(u64::from(receivers.size[1]))?;
                 receivers
             }
         };
@@ -266,6 +321,7 @@ impl<'a> View<'a> {
         progress: &Progress,
     ) -> Result<Vec<LightImage>> {
         let receiver_bounds = receivers.bounds();
+        let border = self.shot.map_or([0; 2], |shot| shot.border);
         let reaching = self.reaching(&receiver_bounds);
         if self.gpu.is_none() {
             self.add_blockers(&reaching, &receiver_bounds);
@@ -275,17 +331,18 @@ impl<'a> View<'a> {
             if !reaches {
                 self.counters.lights_skipped += 1;
                 progress.advance(u64::from(receivers.size[1]))?;
-                images.push(unlit(receivers, irradiance));
+                images.push(unlit(&receivers.within(border), irradiance));
                 continue;
             }
             let start = Instant::now();
             let buffers = self.gpu.as_ref().map(|(_, buffers)| buffers);
-            let frame = Frame { scene: self.scene, bvh: &self.bvh, receivers, irradiance, progress, buffers };
+            let shot = self.shot.as_ref();
+            let frame = Frame { scene: self.scene, bvh: &self.bvh, receivers, irradiance, progress, buffers, shot };
             let image = technique.render(&frame, light)?;
             self.render_ms += ms_since(start);
             self.counters.lights_traced += 1;
             self.counters.rays += image.rays;
-            images.push(image);
+            images.push(if border == [0; 2] { image } else { image_within(image, receivers.size, border) });
         }
         Ok(images)
     }
@@ -324,6 +381,18 @@ fn reaches_any(light: &AreaLight, receivers: &Bounds) -> bool {
             receivers.corners().iter().any(|corner| light.axis().dot(*corner - center) > 0.0)
         }
         Shape::Sphere { .. } | Shape::Tube { .. } | Shape::Sun { .. } | Shape::Point => true,
+    }
+}
+
+/// A light's image within a border.
+fn image_within(image: LightImage, size: [u32; 2], border: [u32; 2]) -> LightImage {
+    LightImage {
+        visibility: within(&image.visibility, size, border),
+        irradiance: within(&image.irradiance, size, border),
+        irradiance_ratio: within(&image.irradiance_ratio, size, border),
+        facing: within(&image.facing, size, border),
+        sampled: within(&image.sampled, size, border),
+        ..image
     }
 }
 

@@ -1,13 +1,17 @@
 //! `penumbra bench`, end to end.
 
+#[expect(dead_code, clippy::needless_pass_by_value, reason = "each test binary uses some of it, with `json!` literals")]
+mod gltf_files;
+
 use std::collections::BTreeSet;
 use std::fs;
 use std::path::Path;
 use std::process::{Command, Output};
 
 use assert_cmd::cargo::CommandCargoExt;
+use gltf_files::{File, push};
 use penumbra::techniques::{ALL, Entry, Needs};
-use serde_json::Value;
+use serde_json::{Value, json};
 
 /// Two sizes of one scene, two settings: the fewest runs that count.
 const TINY: &str = r#"
@@ -72,7 +76,7 @@ fn results_have_every_field_of_the_schema() {
     assert!(stderr.is_empty(), "{stderr}");
     let results = results(directory.path());
     assert_eq!(keys(&results), ["version", "suite", "records"]);
-    assert_eq!((&results["version"], &results["suite"]), (&1.into(), &"suite".into()));
+    assert_eq!((&results["version"], &results["suite"]), (&2.into(), &"suite".into()));
     let records = results["records"].as_array().expect("records");
     assert_eq!(records.len(), 4);
     let widths: Vec<&Value> = records.iter().map(|record| &record["size"][0]).collect();
@@ -80,11 +84,13 @@ fn results_have_every_field_of_the_schema() {
     for (record, samples) in records.iter().zip([4, 16, 4, 16]) {
         let expected = [
             "key",
+            "experiments",
             "scene",
             "source",
             "triangles",
             "light",
             "size",
+            "frames",
             "technique",
             "preset",
             "settings",
@@ -98,6 +104,7 @@ fn results_have_every_field_of_the_schema() {
         assert_eq!(keys(record), expected);
         assert_eq!(record["key"].as_str().map(str::len), Some(32));
         assert_eq!((&record["scene"], &record["source"]), (&"square".into(), &"procedural:square".into()));
+        assert_eq!((&record["experiments"], &record["frames"]), (&json!([]), &Value::Null));
         assert_eq!(record["triangles"], 4);
         assert_eq!(keys(&record["light"]), ["name", "shape", "extent"]);
         assert_eq!(record["light"]["shape"], "rect");
@@ -113,10 +120,24 @@ fn results_have_every_field_of_the_schema() {
     }
 }
 
+/// What an outcome that was measured has.
+const MEASURED: [&str; 11] = [
+    "status",
+    "time",
+    "memory_mb",
+    "samples",
+    "rays",
+    "shadow_maps",
+    "reference",
+    "pixels",
+    "errors",
+    "notes",
+    "sequence",
+];
+
 fn check_outcome(outcome: &Value, size: &[Value], samples: u64) {
-    let expected =
-        ["status", "time", "memory_mb", "samples", "rays", "shadow_maps", "reference", "pixels", "errors", "notes"];
-    assert_eq!(keys(outcome), expected);
+    assert_eq!(keys(outcome), MEASURED);
+    assert_eq!(outcome["sequence"], Value::Null);
     assert_eq!(outcome["status"], "done");
     let time = &outcome["time"];
     let expected = ["runs", "wall_ms", "build_ms", "render_ms", "build_passes", "passes", "baseline"];
@@ -405,7 +426,7 @@ fn mistakes_in_a_suite_are_told_with_their_line() {
         ),
         (with("[[techniques]]", "[[scenes]]\nscene = \"procedural:square\"\n[[techniques]]"), "line 10: two scenes"),
         (with("[\"16x12\", \"24x18\"]", "[]"), "line 1: sizes is empty"),
-        ("sizes = [\"9x9\"]".into(), "line 1: missing field `scenes`"),
+        ("sizes = [\"9x9\"]".into(), "line 1: scenes is empty"),
         ("\u{0}".into(), "line 1: "),
     ];
     for (suite, reason) in cases {
@@ -432,9 +453,9 @@ fn results_of_another_kind_are_not_overwritten() {
     let path = directory.path().join("out/results.json");
     for (text, reason) in [
         ("{", "EOF"),
-        ("{}", "expected results of version 1, found null"),
-        ("{\"version\": 2}", "expected results of version 1, found 2"),
-        ("{\"version\": 1, \"suite\": \"a\", \"records\": [{}]}", "missing field"),
+        ("{}", "expected results of version 2, found null"),
+        ("{\"version\": 1}", "expected results of version 2, found 1"),
+        ("{\"version\": 2, \"suite\": \"a\", \"records\": [{}]}", "missing field"),
     ] {
         fs::write(&path, text).expect("writes");
         let run = bench(directory.path(), TINY);
@@ -451,9 +472,253 @@ fn built_in_suites_are_sound() {
     use penumbra::bench::suite::{BUILT_IN, Plan};
     use penumbra::progress::Progress;
     for (name, _) in BUILT_IN {
-        let plan = Plan::read(Path::new(name), &Machine::this(), &Progress::default()).expect(name);
+        let plan = Plan::read(Path::new(name), &[], &Machine::this(), &Progress::default()).expect(name);
         let sizes: BTreeSet<_> = plan.groups.iter().map(|group| group.size).collect();
         assert!(sizes.len() >= 2, "{name}: a time at one size says little");
         assert!(plan.configurations.len() >= plan.groups.len(), "{name}");
+    }
+}
+
+/// A small occluder that crosses a large square within a second, lit and seen from above: 2 triangles each.
+fn moving_scene(directory: &Path) {
+    let light = json!({"version": 1, "shape": "rect", "width": 0.8, "height": 0.8, "radiance": [1, 1, 1]});
+    let mut file = File::with_light(light);
+    file.json["nodes"][0]["scale"] = json!([3, 3, 1]);
+    file.json["nodes"][1]["translation"] = json!([0, 0, 3]);
+    let occluder = file.add_node(json!({"mesh": 0, "translation": [-1, 0, 1], "scale": [0.4, 0.4, 1]}));
+    file.json["cameras"] = json!([{"type": "perspective", "perspective": {"yfov": 0.6, "znear": 0.1}}]);
+    file.add_node(json!({"camera": 0, "translation": [0, 0, 6]}));
+    let input = file.floats(&[[0.0], [1.0]]);
+    let output = file.floats(&[[-1.0, 0.0, 1.0], [1.0, 0.0, 1.0]]);
+    file.json["animations"] = json!([{"name": "cross"}]);
+    let animation = &mut file.json["animations"][0];
+    let sampler = push(&mut animation["samplers"], json!({"input": input, "output": output}));
+    let target = json!({"node": occluder, "path": "translation"});
+    push(&mut animation["channels"], json!({"sampler": sampler, "target": target}));
+    fs::write(directory.join("moving.glb"), file.glb()).expect("writes");
+}
+
+/// An experiment on what moves, and one on what does not.
+const EXPERIMENTS: &str = r#"
+timing = { runs = 5, seconds = 0 }
+sizes = ["32x24"]
+
+[[experiments]]
+title = "A shadow that moves"
+paper = "It should be <smooth>."
+baseline = { technique = "rays", set = { samples = 4, pattern = "grid" } }
+
+[[experiments.scenes]]
+scene = "moving.glb"
+frames = "0-8:2"
+fps = 8
+animation = "cross"
+show = [0, 4]
+
+[[experiments.techniques]]
+technique = "rays"
+set = { samples = [4, 16], pattern = "grid" }
+
+[[experiments]]
+title = "Samples"
+x = "samples"
+
+[[experiments.scenes]]
+scene = "moving.glb"
+
+[[experiments.techniques]]
+technique = "rays"
+set = { samples = [4, 16, 64], pattern = "grid" }
+"#;
+
+#[test]
+fn frames_of_a_sequence_are_measured_as_single_images_are() {
+    let directory = tempfile::tempdir().expect("a directory");
+    moving_scene(directory.path());
+    let [stdout, stderr] = succeed(directory.path(), EXPERIMENTS);
+    assert!(stdout.starts_with("5 configurations measured, 0 kept") && stderr.is_empty(), "{stdout}{stderr}");
+    let results = results(directory.path());
+    let records = results["records"].as_array().expect("records");
+    let experiments: Vec<&Value> = records.iter().map(|record| &record["experiments"][0]).collect();
+    assert_eq!(experiments[..2], ["A shadow that moves"; 2]);
+    assert_eq!(experiments[2..], ["Samples"; 3]);
+    for (moving, still) in records.iter().zip(&records[2..]) {
+        let [outcome, still] = [&moving["outcome"], &still["outcome"]];
+        if moving["frames"].is_null() {
+            assert_eq!(outcome["sequence"], Value::Null);
+            continue;
+        }
+        assert_eq!(moving["frames"], 5);
+        assert_eq!(keys(outcome), MEASURED);
+        assert_eq!(outcome["time"]["runs"], 3);
+        for name in ["wall_ms", "build_ms", "render_ms"] {
+            assert_spread(&outcome["time"][name]);
+        }
+        let sequence = &outcome["sequence"];
+        let expected = ["fps", "wall_max_over_median", "render_max_over_median", "stability", "frames"];
+        assert_eq!(keys(sequence), expected);
+        assert!(sequence["wall_max_over_median"].as_f64().expect("a ratio") >= 1.0);
+        let frames = sequence["frames"].as_array().expect("frames");
+        let places: Vec<(u64, f64)> = frames
+            .iter()
+            .map(|frame| (frame["frame"].as_u64().expect("a number"), frame["seconds"].as_f64().expect("a time")))
+            .collect();
+        assert_eq!(places, [(0, 0.0), (2, 0.25), (4, 0.5), (6, 0.75), (8, 1.0)]);
+        for frame in frames {
+            assert!(frame["wall_ratio"].as_f64().expect("a ratio") > 0.0);
+            assert!(frame["penumbra"].as_u64().expect("a count") > 0);
+            assert!(frame["rmse_all"].as_f64() <= frame["rmse"].as_f64());
+        }
+        // The file's pose is that of the first frame, and `rays` knows no past.
+        assert_eq!(frames[0]["rmse"], still["errors"]["masks"]["penumbra"]["rmse"]);
+        assert_eq!(frames[0]["rays"], still["rays"]);
+        assert_eq!((&frames[0]["flicker"], &frames[0]["ghost_area"]), (&Value::Null, &json!(0.0)));
+        // All pixels of all frames together: the weighted mean of the squares, to rounding.
+        let numbers = |frame: &Value| ["penumbra", "rmse"].map(|name| frame[name].as_f64().expect("a number"));
+        let [count, squares] = frames
+            .iter()
+            .map(numbers)
+            .fold([0.0; 2], |[count, squares], [pixels, rmse]| [count + pixels, squares + pixels * rmse * rmse]);
+        let pooled = outcome["errors"]["masks"]["penumbra"]["rmse"].as_f64().expect("an RMSE");
+        assert!((pooled / f64::sqrt(squares / count) - 1.0).abs() < 1e-12, "{pooled}");
+    }
+}
+
+#[test]
+fn what_stands_still_does_not_flicker_and_sampling_never_settles() {
+    let directory = tempfile::tempdir().expect("a directory");
+    let suite = TINY.replace("\"16x12\", ", "").replace("[[techniques]]", "frames = \"1-3\"\n[[techniques]]");
+    succeed(directory.path(), &suite);
+    let results = results(directory.path());
+    for record in results["records"].as_array().expect("records") {
+        let stability = &record["outcome"]["sequence"]["stability"];
+        assert_eq!(keys(stability), ["flicker", "ghost_area", "settling"]);
+        // The same image each time.
+        assert_eq!((&stability["flicker"], &stability["ghost_area"]), (&json!(0.0), &json!(0.0)));
+        let settling = stability["settling"].as_array().expect("an array");
+        let kinds: Vec<(&Value, &Value)> = settling.iter().map(|found| (&found["since"], &found["error"])).collect();
+        // All that is seen has been so from the start.
+        assert_eq!(kinds, [(&json!("start"), &json!(1.0 / 255.0)), (&json!("start"), &json!(0.01))]);
+        let penumbra = record["outcome"]["errors"]["masks"]["penumbra"]["count"].as_u64().expect("a count");
+        for found in settling {
+            assert_eq!(found["points"].as_u64().expect("a count") * 3, penumbra);
+            // At once or never.
+            assert!(found["median"].is_null() || found["median"] == 1, "{found}");
+        }
+        // Of 4 or 16 samples at least one of the many pixels is off by more than 1e-2.
+        assert!(settling[1]["never"].as_f64().expect("a share") > 0.0);
+    }
+    let mut reader = csv::Reader::from_path(directory.path().join("out/results.csv")).expect("a table");
+    let header: Vec<String> = reader.headers().expect("a header").iter().map(str::to_owned).collect();
+    let row = reader.records().next().expect("a row").expect("as long as the header");
+    let cell = |name: &str| &row[header.iter().position(|column| column == name).expect(name)];
+    assert_eq!(["frames", "flicker", "ghost_area"].map(cell), ["3", "0", "0"]);
+    assert!(!cell("start_frames_to_0.01_never").is_empty() && cell("disocclusion_frames_to_8bit_median").is_empty());
+}
+
+#[test]
+fn a_sequence_that_is_done_is_not_done_again() {
+    let directory = tempfile::tempdir().expect("a directory");
+    moving_scene(directory.path());
+    succeed(directory.path(), EXPERIMENTS);
+    let before = results(directory.path());
+    let [stdout, _] = succeed(directory.path(), EXPERIMENTS);
+    assert!(stdout.starts_with("0 configurations measured, 5 kept"), "{stdout}");
+    assert_eq!(results(directory.path()), before);
+    // Another speed is another sequence; what stands still stays.
+    let [stdout, _] = succeed(directory.path(), &EXPERIMENTS.replace("fps = 8", "fps = 9"));
+    assert!(stdout.starts_with("2 configurations measured, 3 kept"), "{stdout}");
+}
+
+#[test]
+fn an_experiment_is_a_section_with_what_the_paper_says() {
+    let directory = tempfile::tempdir().expect("a directory");
+    moving_scene(directory.path());
+    succeed(directory.path(), EXPERIMENTS);
+    let html = fs::read_to_string(directory.path().join("out/report.html")).expect("a report");
+    for text in [
+        "A shadow that moves</h2>",
+        "It should be &lt;smooth&gt;.",
+        "Samples</h2>",
+        "× rays pattern=grid samples=4",
+        "moving, light, 32x24, frames 0 to 8: frame by frame</h3>",
+        "moving, light, 32x24: by samples</h3>",
+        "frames to an error",
+    ] {
+        assert!(html.contains(text), "{text}");
+    }
+    // Frame by frame and by samples: time, error and points of the light. Two a group: its hulls.
+    assert_eq!(html.matches("<svg ").count(), 3 + 3 + 2 * 2);
+    // Of the sequence two frames each of two settings and the reference, with differences; of the image three and one.
+    assert_eq!(html.matches("src=\"data:image/png;base64,").count(), (2 * 2 * 2 + 2) + (3 * 2 + 1));
+    assert!(!html.contains("NaN") && !html.contains("undefined"));
+}
+
+#[test]
+fn only_some_experiments_can_be_run() {
+    let directory = tempfile::tempdir().expect("a directory");
+    moving_scene(directory.path());
+    fs::write(directory.path().join("suite.toml"), EXPERIMENTS).expect("writes");
+    let run = |only: &[&str]| {
+        let mut command = command(directory.path(), "suite.toml");
+        command.args(only.iter().flat_map(|only| ["--only", only]));
+        let run = command.output().expect("runs");
+        let texts = [run.stdout, run.stderr].map(|bytes| String::from_utf8(bytes).expect("UTF-8"));
+        (run.status.code(), texts)
+    };
+    let (code, [_, errors]) = run(&["flicker"]);
+    assert_eq!(code, Some(2));
+    assert!(
+        errors.starts_with("error: --only flicker: ") && errors.contains("A shadow that moves; Samples"),
+        "{errors}"
+    );
+    let (_, [stdout, _]) = run(&["SAMPLES"]);
+    assert!(stdout.starts_with("3 configurations measured, 0 kept"), "{stdout}");
+    let html = fs::read_to_string(directory.path().join("out/report.html")).expect("a report");
+    assert!(html.contains("Samples</h2>") && !html.contains("A shadow that moves"));
+    let (_, [stdout, _]) = run(&["moves", "samples"]);
+    assert!(stdout.starts_with("2 configurations measured, 3 kept"), "{stdout}");
+}
+
+#[test]
+fn experiments_that_ask_for_the_same_share_it() {
+    let directory = tempfile::tempdir().expect("a directory");
+    moving_scene(directory.path());
+    let start = EXPERIMENTS.find("[[experiments]]\ntitle = \"Samples\"").expect("there");
+    let again = EXPERIMENTS[start..].replace("Samples", "Again").replace("[4, 16, 64]", "64");
+    let suite = format!("{}{again}", EXPERIMENTS.replace("fps", "name = \"crossing\"\nfps"));
+    let [stdout, _] = succeed(directory.path(), &suite);
+    assert!(stdout.starts_with("5 configurations measured, 0 kept"), "{stdout}");
+    let results = results(directory.path());
+    let records = results["records"].as_array().expect("records");
+    assert_eq!((records.len(), &records[4]["experiments"]), (5, &json!(["Samples", "Again"])));
+    let html = fs::read_to_string(directory.path().join("out/report.html")).expect("a report");
+    assert!(html.contains("Again</h2>") && html.matches("pattern=grid samples=64</td>").count() >= 2);
+}
+
+#[test]
+fn mistakes_in_experiments_are_told_with_their_line() {
+    let base = EXPERIMENTS.replace("moving.glb", "procedural:square").replace("animation = \"cross\"\n", "");
+    let with = |from: &str, to: &str| {
+        assert!(base.contains(from), "{from}");
+        base.replacen(from, to, 1)
+    };
+    let cases = [
+        (with("title = \"Samples\"", "title = \"A shadow that moves\""), "a title that no other experiment has"),
+        (with("title = \"Samples\"", "title = \" \""), "line 21: expected a title"),
+        (with("title = \"Samples\"", ""), "missing field `title`"),
+        (with("samples = 4,", "samples = [4, 5],"), "line 8: baseline: expected one setting, found 2"),
+        (with("x = \"samples\"", "x = \"pattern\""), "line 22: x: expected a parameter"),
+        (with("0-8:2", "8-0"), "line 12: frames: expected A <= B"),
+        (with("fps = 8", "fps = -1"), "line 12: fps: expected a number"),
+        (with("fps = 8", "animation = \"none\""), "line 11: --animation: \"none\" is not there"),
+        (with("[0, 4]", "[0, 5]"), "line 12: show: 5 is not one of the frames"),
+        (with("frames = \"0-8:2\"", ""), "line 11: `fps`, `animation` and `show` are for a scene with `frames`"),
+        (with("0-8:2", "0-99999").replace("[4, 16]", "[4, 5, 6]"), "more than 250000 frames"),
+        (with("sizes = [\"32x24\"]", ""), "sizes is empty"),
+        (base.clone() + "[[scenes]]\nscene = \"procedural:square\"", "in them; expected none beside them"),
+    ];
+    for (suite, reason) in cases {
+        refuse(&suite, reason);
     }
 }

@@ -51,7 +51,15 @@ fn unculled(scene: &Scene, offset_px: DVec2, technique: &dyn Technique) -> (Rece
     let mut bvh = SceneBvh::new(scene);
     bvh.add(|_| true);
     let receivers = Receivers::find(&bvh, &scene.cameras[0], SIZE, offset_px, &progress).expect("finds");
-    let frame = Frame { scene, bvh: &bvh, receivers: &receivers, irradiance: true, progress: &progress, buffers: None };
+    let frame = Frame {
+        scene,
+        bvh: &bvh,
+        receivers: &receivers,
+        irradiance: true,
+        progress: &progress,
+        buffers: None,
+        shot: None,
+    };
     let images = scene.lights.iter().map(|light| technique.render(&frame, light).expect("renders")).collect();
     (receivers, images)
 }

@@ -87,6 +87,7 @@ fn judge(name: &str) {
         irradiance: true,
         progress: &progress,
         buffers: None,
+        shot: None,
     };
     let (mut lit, mut umbra) = (0, 0);
     for light in &judged.lights {

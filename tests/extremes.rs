@@ -307,18 +307,7 @@ fn the_terminator_of_a_sphere_approaches_the_smooth_one() {
     // a band that narrows as they shrink.
     let mut last = f64::INFINITY;
     for subdivisions in [8u32, 16, 32] {
-        let (n, m) = (2 * subdivisions, subdivisions);
-        let at = |i: u32, j: u32| {
-            let (phi, theta) = (2.0 * PI * f64::from(i % n) / f64::from(n), PI * f64::from(j) / f64::from(m));
-            DVec3::new(theta.sin() * phi.cos(), theta.cos(), theta.sin() * phi.sin()).as_vec3().to_array()
-        };
-        let mut triangles = Vec::new();
-        for i in 0..n {
-            for j in 0..m {
-                triangles.push([at(i, j), at(i + 1, j), at(i + 1, j + 1)]);
-                triangles.push([at(i, j), at(i + 1, j + 1), at(i, j + 1)]);
-            }
-        }
+        let triangles = sphere(subdivisions);
         let sun = light_down(Shape::Sun { angle: 0.0 }, [0.0; 3]);
         let scene = scene(vec![mesh(&triangles)], vec![sun]);
         let mut wrong = 0.0f64;
@@ -341,7 +330,7 @@ fn the_terminator_of_a_sphere_approaches_the_smooth_one() {
                 wrong = wrong.max(center.normalize().y.abs());
             }
         }
-        let facet = PI / f64::from(m);
+        let facet = PI / f64::from(subdivisions);
         assert!(wrong <= facet, "facets of {facet} are wrong up to height {wrong}");
         assert!(wrong <= last);
         last = wrong;

@@ -248,18 +248,7 @@ fn a_tessellated_sphere_is_lit_up_to_its_terminator_and_not_beyond() {
     for (shape, at) in [(Shape::Sun { angle: 0.0 }, [0.0; 3]), (Shape::Point, [0.0, 4.0, 0.0])] {
         let mut last = f64::INFINITY;
         for subdivisions in [8u32, 16, 32] {
-            let (n, m) = (2 * subdivisions, subdivisions);
-            let vertex = |i: u32, j: u32| {
-                let (phi, theta) = (2.0 * PI * f64::from(i % n) / f64::from(n), PI * f64::from(j) / f64::from(m));
-                DVec3::new(theta.sin() * phi.cos(), theta.cos(), theta.sin() * phi.sin()).as_vec3().to_array()
-            };
-            let mut triangles = Vec::new();
-            for i in 0..n {
-                for j in 0..m {
-                    triangles.push([vertex(i, j), vertex(i + 1, j), vertex(i + 1, j + 1)]);
-                    triangles.push([vertex(i, j), vertex(i + 1, j + 1), vertex(i, j + 1)]);
-                }
-            }
+            let triangles = sphere(subdivisions);
             let ball = scene(vec![mesh(&triangles)], vec![light_down(shape, at)]);
             let mut facets = Vec::new();
             for [a, b, c] in triangles.iter().map(|t| t.map(|p| Vec3::from(p).as_dvec3())) {
@@ -292,7 +281,7 @@ fn a_tessellated_sphere_is_lit_up_to_its_terminator_and_not_beyond() {
                             wrong = wrong.max(center.normalize().dot(to.normalize()).abs());
                         }
                     }
-                    let facet = PI / f64::from(m);
+                    let facet = PI / f64::from(subdivisions);
                     assert!(wrong <= facet, "facets of {facet} are wrong up to {wrong}");
                     // Of a sun the terminator is the equator, which facets' middles approach as they shrink.
                     if (name, size, shape) == ("hard", 256, Shape::Sun { angle: 0.0 }) {

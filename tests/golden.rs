@@ -34,6 +34,8 @@ fn settings(entry: &Entry) -> String {
         "hard" => "map_size=512".into(),
         "pcf" => "map_size=512 kernel=9".into(),
         "pcss" => "map_size=512 search_taps=16 filter_taps=16 near=0.5 pattern=sobol".into(),
+        "adaptive" => "map_size=512 points=centers min_depth=1 max_depth=2 max_maps=81 epsilon=0.05 filter=true".into(),
+        "temporal" => "map_size=512 frames=8 start_taps=16 start_weight=32".into(),
         "uniform" => "map_size=512 samples=16 placement=grid".into(),
         // A technique that is new here has its own defaults, until it is given settings.
         _ => String::new(),

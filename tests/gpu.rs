@@ -141,7 +141,7 @@ fn key(receiver: &Option<Receiver>) -> Option<(u32, u32)> {
 
 fn drawn(bvh: &SceneBvh, scene: &Scene, camera: &Camera, size: [u32; 2]) -> Receivers {
     let buffers = SceneBuffers::new(&GPU, scene).expect("fits");
-    gbuffer::receivers(&GPU, (scene, &buffers, bvh), camera, size, CENTER).expect("draws").0
+    gbuffer::receivers(&GPU, (scene, &buffers, bvh), camera, (size, [0; 2]), CENTER).expect("draws").0
 }
 
 /// Holds the G-buffer against rays: how many pixels see a surface, and how many see another triangle.

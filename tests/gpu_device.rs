@@ -119,7 +119,8 @@ fn scenes_and_images_that_exceed_a_limit_are_refused() {
     assert!(message.contains("the scene's vertices would take"), "{message}");
     let scene = build("square").expect("builds").scene;
     let (buffers, bvh) = (SceneBuffers::new(&gpu, &scene).expect("fits"), SceneBvh::new(&scene));
-    let draw = |size| gbuffer::receivers(&gpu, (&scene, &buffers, &bvh), &scene.cameras[0], size, DVec2::splat(0.5));
+    let draw =
+        |size| gbuffer::receivers(&gpu, (&scene, &buffers, &bvh), &scene.cameras[0], (size, [0; 2]), DVec2::splat(0.5));
     draw([256, 200]).expect("fits");
     let message = draw([300, 200]).expect_err("is too large").to_string();
     assert!(message.contains("G-buffer is 300 pixels wide; this adapter allows 256"), "{message}");
@@ -145,7 +146,8 @@ fn a_lost_device_is_told_once_work_is_waited_for() {
     let message = Frame::new(&gpu).finish().expect_err("the device is gone").to_string();
     assert!(message.starts_with(&format!("GPU: {}: the device was lost", gpu.adapter.name)), "{message}");
     assert_eq!(message.lines().count(), 1, "{message}");
-    let drawn = gbuffer::receivers(&gpu, (&scene, &buffers, &bvh), &scene.cameras[0], [20, 10], DVec2::splat(0.5));
+    let drawn =
+        gbuffer::receivers(&gpu, (&scene, &buffers, &bvh), &scene.cameras[0], ([20, 10], [0; 2]), DVec2::splat(0.5));
     assert_eq!(drawn.expect_err("the device is gone").to_string(), message);
 }
 

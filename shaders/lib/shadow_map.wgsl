@@ -24,7 +24,8 @@ struct Receiver {
     number: u32,
     /// Geometric, unit, on the camera's side.
     normal: vec3<f32>,
-    padding: u32,
+    /// What it lies on.
+    instance: u32,
     shading_normal: vec3<f32>,
     padding_2: u32,
 }
@@ -127,4 +128,17 @@ fn unblocked_depth(face: Face, seen: OnFace, at: vec2<f32>) -> f32 {
 fn is_blocked(face: Face, layer: u32, seen: OnFace, texel: vec2<i32>) -> bool {
     let stored = textureLoad(shadow_depth, texel, layer, 0);
     return stored > max(unblocked_depth(face, seen, texel_center(face, texel)), 0.0);
+}
+
+/// Where what a map holds at a place of its view is.
+fn stored_position(face: Face, at: vec2<f32>, stored: f32) -> vec3<f32> {
+    // depth = depth_scale (far - along) / (along + forward.w), solved for along.
+    let along = select(
+        (face.depth_scale * face.far - stored * face.forward.w) / (face.depth_scale + stored),
+        face.far - stored / face.depth_scale,
+        face.distant == 1u,
+    );
+    let z = select(along + face.forward.w, 1.0, face.distant == 1u);
+    let across = at * z - vec2(face.right.w, face.up.w);
+    return across.x * face.right.xyz + across.y * face.up.xyz + along * face.forward.xyz;
 }

@@ -1,147 +1,15 @@
-// Percentage-closer soft shadows. Fernando 2005, "Percentage-Closer Soft Shadows": the mean depth of the blockers around a receiver
-// gives the width of its penumbra, and that the kernel of a percentage-closer filter.
-//
-// The kernels are the light's own shape, projected from the receiver onto a plane parallel to it: x = p + t (q - p) for the points
-// q of the light, with the planar depths z from the light's plane in t = (z_receiver - z_plane) / z_receiver. In the map this is the
-// w_light (z_r - z_b) / z_b of the paper for any place and any map, the faces of a cube included.
+// Percentage-closer soft shadows, from one map of the light's centre. Fernando 2005, "Percentage-Closer Soft Shadows".
 
-#import "lib/shadow_map.wgsl"
-#import "lib/counter.wgsl"
-#import "lib/sampling.wgsl"
+#import "lib/pcss.wgsl"
 
 @group(0) @binding(4) var<storage, read_write> visibility: array<f32>;
-@group(0) @binding(5) var<uniform> emitter: Emitter;
-
-/// The surface that stands for the light. Twin of `Emitter` in `gpu/center_map.rs`.
-struct Emitter {
-    center: vec3<f32>,
-    /// 0 rect, 1 disk, 2 point.
-    domain: u32,
-    half_u: vec3<f32>,
-    /// 1: at infinity; positions on it are directions.
-    distant: u32,
-    half_v: vec3<f32>,
-    /// The nearest caster, along `normal` from the origin: keeps its digits however far the light is.
-    nearest: f32,
-    normal: vec3<f32>,
-    padding: u32,
-}
-
-/// 1: every texel of the kernels, as far as MOST_TEXELS go, instead of so many taps.
-override dense: bool;
-override search_taps: u32;
-override filter_taps: u32;
-override pattern: u32;
-override search_columns: u32;
-override filter_columns: u32;
-
-/// A side of a dense kernel, at most.
-const MOST_TEXELS: f32 = 64.0;
-
-/// Where the search begins, as a fraction of the way from the light to the receiver.
-override near: f32;
-
-/// What a tap finds.
-struct Tap {
-    blocked: bool,
-    /// How far the blocker is before the receiver: along the light's normal, or the direction of a distant one.
-    gap: f32,
-}
-
-/// How far a kernel's plane lies before the receiver: a fraction of the way to the light's plane, or a distance.
-fn kernel_point(position: vec3<f32>, uv: vec2<f32>, reach: f32) -> vec3<f32> {
-    let on_light = emitter.center + uv.x * emitter.half_u + uv.y * emitter.half_v;
-    return position + reach * select(on_light - position, on_light, emitter.distant == 1u);
-}
-
-fn tap(light_point: LightPoint, receiver: Receiver, uv: vec2<f32>, reach: f32) -> Tap {
-    let place = kernel_point(receiver.position, uv, reach);
-    let index = face_toward(light_point, place - light_point.position);
-    let face = faces[index];
-    let to = to_light(light_point, receiver.position, face.distant == 1u);
-    let seen = on_face(face, receiver.position, plane_normal(receiver.normal, to));
-    let texel = texel_at(face, seen_at(in_view(face, place)));
-    let at = texel_center(face, texel);
-    let stored = textureLoad(shadow_depth, texel, index, 0);
-    var found: Tap;
-    found.blocked = stored > max(unblocked_depth(face, seen, at), 0.0);
-    // The blocker's position: depth = depth_scale (far - along) / (along + forward.w), solved for along.
-    let along = select(
-        (face.depth_scale * face.far - stored * face.forward.w) / (face.depth_scale + stored),
-        face.far - stored / face.depth_scale,
-        face.distant == 1u,
-    );
-    let z = select(along + face.forward.w, 1.0, face.distant == 1u);
-    let across = at * z - vec2(face.right.w, face.up.w);
-    let blocker = across.x * face.right.xyz + across.y * face.up.xyz + along * face.forward.xyz;
-    found.gap = dot(emitter.normal, receiver.position - blocker);
-    return found;
-}
-
-/// Texels along a side of the kernel.
-fn side(light_point: LightPoint, position: vec3<f32>, half_axis: vec3<f32>, reach: f32) -> f32 {
-    let place = kernel_point(position, vec2(0.0), reach);
-    let face = faces[face_toward(light_point, place - light_point.position)];
-    let texel = face.texel * in_view(face, place).z;
-    return clamp(ceil(2.0 * reach * length(half_axis) / texel), 1.0, MOST_TEXELS);
-}
-
-/// What a place of a kernel adds to its sums. A point of the light below the horizon is blocked, by nothing that has a depth.
-fn sums_of(light_point: LightPoint, receiver: Receiver, uv: vec2<f32>, reach: f32) -> vec4<f32> {
-    let found = tap(light_point, receiver, uv, reach);
-    let on_light = emitter.center + uv.x * emitter.half_u + uv.y * emitter.half_v;
-    let to = select(on_light - receiver.position, on_light, emitter.distant == 1u);
-    let blocked = select(0.0, 1.0, found.blocked);
-    return vec4(1.0, blocked, blocked * found.gap, select(1.0, blocked, dot(receiver.normal, to) > 0.0));
-}
-
-/// Sums over a kernel: taps, blockers, their gaps, and taps that see nothing of the light.
-fn kernel(light_point: LightPoint, receiver: Receiver, reach: f32, taps: u32, columns: u32, seed: u32) -> vec4<f32> {
-    var sums = vec4(0.0);
-    if (dense) {
-        let columns = side(light_point, receiver.position, emitter.half_u, reach);
-        let rows = side(light_point, receiver.position, emitter.half_v, reach);
-        for (var y = 0.5; y < rows; y += 1.0) {
-            for (var x = 0.5; x < columns; x += 1.0) {
-                let uv = 2.0 * vec2(x / columns, y / rows) - 1.0;
-                if (emitter.domain == 1u && dot(uv, uv) > 1.0) {
-                    continue;
-                }
-                sums += sums_of(light_point, receiver, uv, reach);
-            }
-        }
-        return sums;
-    }
-    let sampler = sampler_of(pattern, vec2(columns, taps / columns), receiver.number, seed);
-    for (var i = 0u; i < taps; i++) {
-        let square = unit_square(sampler, i);
-        let uv = select(2.0 * square - 1.0, disk_from_square(square), emitter.domain == 1u);
-        sums += sums_of(light_point, receiver, uv, reach);
-    }
-    return sums;
-}
 
 @compute @workgroup_size(64)
 fn main(@builtin(global_invocation_id) id: vec3<u32>) {
     if (id.x >= arrayLength(&receivers)) {
         return;
     }
-    let receiver = receivers[id.x];
-    let light_point = points[0];
-    let distant = emitter.distant == 1u;
-    // How far the receiver is from the light's plane, and beyond the nearest caster.
-    let depth = dot(emitter.normal, receiver.position - emitter.center);
-    let beyond = max(dot(emitter.normal, receiver.position) - emitter.nearest, 0.0);
-    let search = select(select(1.0 - near, min(beyond / depth, 1.0 - near), depth > 0.0), (1.0 - near) * beyond, distant);
-    let blockers = kernel(light_point, receiver, search, search_taps, search_columns, 0u);
-    if (blockers.y == 0.0) {
-        count(u32(blockers.x));
-        visibility[id.x] = 1.0;
-        return;
-    }
-    let gap = max(blockers.z / blockers.y, 0.0);
-    let reach = select(min(gap / depth, 1.0 - near), gap, distant);
-    let filtered = kernel(light_point, receiver, reach, filter_taps, filter_columns, 1u);
-    count(u32(blockers.x + filtered.x));
-    visibility[id.x] = 1.0 - filtered.w / filtered.x;
+    let found = percentage_closer(points[0], receivers[id.x]);
+    count(found.texels);
+    visibility[id.x] = found.visibility;
 }

@@ -1,4 +1,4 @@
-//! Charts with logarithmic axes, worked out to the pixel; the report's template draws them as SVG.
+//! Charts, worked out to the pixel; the report's template draws them as SVG.
 
 use std::f64::consts::TAU;
 
@@ -36,7 +36,7 @@ struct Shape {
 /// A point to draw.
 #[derive(Debug, Clone)]
 pub struct Mark {
-    /// In the axes' units, above 0.
+    /// In the axes' units.
     pub at: [f64; 2],
     /// Shown when it is pointed at.
     pub title: String,
@@ -57,11 +57,22 @@ pub struct Series {
     pub line: Vec<[f64; 2]>,
 }
 
+/// How values are laid out along an axis.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Scale {
+    /// By their logarithms; all are above 0.
+    Log,
+    /// Evenly.
+    Linear,
+}
+
 /// What an axis shows.
 #[derive(Debug, Clone, Copy)]
 pub struct Labels<'a> {
     /// Below.
     pub x: &'a str,
+    /// How the lower axis is laid out; the others are logarithmic.
+    pub x_scale: Scale,
     /// Beside.
     pub y: &'a str,
     /// Above, with what a value below is divided by.
@@ -111,8 +122,8 @@ impl Chart {
     pub fn new(series: &[Series], labels: Labels) -> Option<Self> {
         let all = || series.iter().flat_map(|series| &series.marks).map(|mark| mark.at);
         let [left, top, right, bottom] = PLOT;
-        let x = Axis::over(all().map(|at| at[0]), [left, right])?;
-        let y = Axis::over(all().map(|at| at[1]), [bottom, top])?;
+        let x = Axis::over(all().map(|at| at[0]), [left, right], labels.x_scale)?;
+        let y = Axis::over(all().map(|at| at[1]), [bottom, top], Scale::Log)?;
         let place = |at: [f64; 2]| [x.place(at[0]), y.place(at[1])].map(rounded);
         let drawn = series.iter().enumerate().map(|(i, series)| {
             let draw = |mark: &Mark| DrawnMark::new(i, place(mark.at), mark);
@@ -176,37 +187,62 @@ fn rounded(pixels: f64) -> f64 {
     (100.0 * pixels).round() / 100.0
 }
 
-/// From logarithms to pixels.
+/// From values to pixels.
 #[derive(Debug, Clone, Copy)]
 struct Axis {
-    logs: [f64; 2],
+    scale: Scale,
+    /// Its first and last value, as the scale lays them out.
+    ends: [f64; 2],
     pixels: [f64; 2],
+}
+
+impl Scale {
+    /// What is proportional to lengths.
+    fn of(self, value: f64) -> f64 {
+        match self {
+            Self::Log => value.log10(),
+            Self::Linear => value,
+        }
+    }
 }
 
 impl Axis {
     /// An axis over all values, with a margin; none without a value.
-    fn over(values: impl Iterator<Item = f64>, pixels: [f64; 2]) -> Option<Self> {
+    fn over(values: impl Iterator<Item = f64>, pixels: [f64; 2], scale: Scale) -> Option<Self> {
         let [low, high] = values
-            .map(f64::log10)
-            .fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], log| [log.min(low), log.max(high)]);
-        // At least a factor of two either way, else a twentieth of the range.
-        let margin = f64::max(0.05 * (high - low), if high - low < 0.3 { 0.3 } else { 0.0 });
-        (low.is_finite() && high.is_finite()).then_some(Self { logs: [low - margin, high + margin], pixels })
+            .map(|value| scale.of(value))
+            .fold([f64::INFINITY, f64::NEG_INFINITY], |[low, high], value| [low.min(value), high.max(value)]);
+        // Where there is hardly a range, at least a factor of two either way, or one; else a twentieth of it.
+        let least = match scale {
+            Scale::Log if high - low < 0.3 => 0.3,
+            Scale::Linear if high == low => 1.0,
+            _ => 0.0,
+        };
+        let margin = f64::max(0.05 * (high - low), least);
+        (low.is_finite() && high.is_finite()).then_some(Self { scale, ends: [low - margin, high + margin], pixels })
     }
 
-    /// The same places for values divided by `one`.
+    /// The same places for values divided by `one`; of a logarithmic axis.
     fn divided_by(self, one: f64) -> Self {
-        Self { logs: self.logs.map(|log| log - one.log10()), ..self }
+        Self { ends: self.ends.map(|log| log - one.log10()), ..self }
     }
 
     fn place(&self, value: f64) -> f64 {
-        let share = (value.log10() - self.logs[0]) / (self.logs[1] - self.logs[0]);
+        let share = (self.scale.of(value) - self.ends[0]) / (self.ends[1] - self.ends[0]);
         self.pixels[0] + share * (self.pixels[1] - self.pixels[0])
     }
 
-    /// At powers of ten; with their multiples by 2 and 5, or by all digits, where those are fewer than three.
     fn ticks(&self) -> Vec<Tick> {
-        let [low, high] = self.logs;
+        let tick = |value: f64, label: String| Tick { at: rounded(self.place(value)), label };
+        match self.scale {
+            Scale::Log => self.log_ticks(tick),
+            Scale::Linear => self.even_ticks(tick),
+        }
+    }
+
+    /// At powers of ten; with their multiples by 2 and 5, or by all digits, where those are fewer than three.
+    fn log_ticks(&self, tick: impl Fn(f64, String) -> Tick) -> Vec<Tick> {
+        let [low, high] = self.ends;
         let decades = || low.floor() as i32..=high.ceil() as i32;
         let at = |digits: &'static [u32]| {
             decades()
@@ -215,11 +251,23 @@ impl Axis {
         };
         let choices: [&[u32]; 3] = [&[1], &[1, 2, 5], &[1, 2, 3, 4, 5, 6, 7, 8, 9]];
         let digits = choices.into_iter().find(|digits| at(digits).count() >= 3).unwrap_or(choices[2]);
-        at(digits)
-            .map(|(digit, decade)| {
-                let value = f64::from(digit) * 10f64.powi(decade);
-                Tick { at: rounded(self.place(value)), label: decimal(digit, decade) }
-            })
+        at(digits).map(|(digit, decade)| tick(f64::from(digit) * 10f64.powi(decade), decimal(digit, decade))).collect()
+    }
+
+    /// At multiples of 1, 2 or 5 times a power of ten, the smallest that leaves no more than eight.
+    fn even_ticks(&self, tick: impl Fn(f64, String) -> Tick) -> Vec<Tick> {
+        let [low, high] = self.ends;
+        let decade = (high - low).log10().floor() as i32 - 1;
+        let multiples = |step: f64| (low / step).ceil() as i64..=(high / step).floor() as i64;
+        let steps = (decade..).flat_map(|decade| [1, 2, 5].map(|digit| (digit, decade)));
+        let (digit, decade) = steps
+            .into_iter()
+            .find(|&(digit, decade)| multiples(f64::from(digit) * 10f64.powi(decade)).count() <= 8)
+            .expect("steps grow without end");
+        let decimals = usize::try_from(-decade).unwrap_or_default();
+        multiples(f64::from(digit) * 10f64.powi(decade))
+            .map(|i| i as f64 * f64::from(digit) * 10f64.powi(decade))
+            .map(|value| tick(value, format!("{value:.decimals$}")))
             .collect()
     }
 }
@@ -254,7 +302,7 @@ mod tests {
     use super::*;
 
     fn labels(low: f64, high: f64) -> Vec<String> {
-        let axis = Axis { logs: [low.log10(), high.log10()], pixels: [0.0, 100.0] };
+        let axis = Axis { scale: Scale::Log, ends: [low.log10(), high.log10()], pixels: [0.0, 100.0] };
         axis.ticks().into_iter().map(|tick| tick.label).collect()
     }
 
@@ -268,9 +316,22 @@ mod tests {
 
     #[test]
     fn places_are_logarithmic() {
-        let axis = Axis { logs: [0.0, 2.0], pixels: [0.0, 100.0] };
+        let axis = Axis { scale: Scale::Log, ends: [0.0, 2.0], pixels: [0.0, 100.0] };
         assert_eq!([1.0, 10.0, 100.0].map(|value| axis.place(value)), [0.0, 50.0, 100.0]);
         assert_eq!(axis.divided_by(10.0).place(1.0), 50.0);
+    }
+
+    #[test]
+    fn even_ticks_are_round_numbers_and_at_most_eight() {
+        let labels = |ends: [f64; 2]| -> Vec<String> {
+            let axis = Axis { scale: Scale::Linear, ends, pixels: [0.0, 100.0] };
+            axis.ticks().into_iter().map(|tick| tick.label).collect()
+        };
+        assert_eq!(labels([-2.35, 49.35]), ["0", "10", "20", "30", "40"]);
+        assert_eq!(labels([0.0, 0.31]), ["0.00", "0.05", "0.10", "0.15", "0.20", "0.25", "0.30"]);
+        assert_eq!(labels([-1.0, 1.0]), ["-1.0", "-0.5", "0.0", "0.5", "1.0"]);
+        let axis = Axis::over([5.0].into_iter(), [0.0, 100.0], Scale::Linear).expect("a value");
+        assert_eq!(axis.place(5.0), 50.0);
     }
 
     #[test]

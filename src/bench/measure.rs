@@ -33,12 +33,32 @@ pub struct Subject {
 }
 
 /// A run with its times, ms.
-struct Run {
-    wall: f64,
-    build: f64,
-    render: f64,
-    build_passes: Vec<Pass>,
-    passes: Vec<Pass>,
+pub(super) struct Run {
+    pub wall: f64,
+    pub build: f64,
+    pub render: f64,
+    pub build_passes: Vec<Pass>,
+    pub passes: Vec<Pass>,
+}
+
+impl Run {
+    /// Times what renders one light.
+    pub fn of(work: impl FnOnce() -> Result<Rendering>) -> Result<Self> {
+        let start = Instant::now();
+        let mut rendering = work()?;
+        Ok(Self {
+            wall: ms_since(start),
+            build: rendering.build_ms,
+            render: rendering.render_ms,
+            build_passes: std::mem::take(&mut rendering.build_passes),
+            passes: std::mem::take(&mut rendering.lights[0].passes),
+        })
+    }
+}
+
+/// What is asked of every technique.
+pub(super) fn request(size: [u32; 2]) -> Request {
+    Request { size, irradiance: false, shaded: false, antialiasing: 1, verify: None }
 }
 
 impl Subject {
@@ -47,7 +67,7 @@ impl Subject {
     /// # Errors
     /// As [`render`].
     pub fn new(loaded: LoadedScene, size: [u32; 2], cache: &Path, progress: &Progress) -> Result<(Self, Vec<String>)> {
-        let request = Request { size, irradiance: false, shaded: false, antialiasing: 1, verify: None };
+        let request = request(size);
         let cached = Cached::new(&Exact, "reference-exact", cache)?;
         let mut rendering = render(&loaded.scene, &loaded.camera, &cached, &request, progress)?;
         let sampled = rendering.lights[0].sampled.iter().filter(|&&sampled| sampled).count() as u64;
@@ -62,7 +82,7 @@ impl Subject {
     pub fn measure(&self, technique: &dyn Technique, timing: Timing, progress: &Progress) -> Result<(Measured, Image)> {
         // The run that warms up tells memory and gives the image: all others give the same one.
         let resets = reset_peak_rss();
-        let (mut rendering, _) = self.run(technique, progress)?;
+        let mut rendering = self.run(technique, progress)?;
         let peak_rss = if resets { peak_rss_mb() } else { None };
         let image = image(&self.loaded, &mut rendering, technique);
         let report = metrics::compare(&image, &self.reference, &Mask::ALL)?;
@@ -81,25 +101,17 @@ impl Subject {
             pixels: report.pixels,
             errors: lights.swap_remove(0),
             notes: report.notes,
+            sequence: None,
         };
         Ok((measured, image))
     }
 
-    fn run(&self, technique: &dyn Technique, progress: &Progress) -> Result<(Rendering, f64)> {
-        let start = Instant::now();
-        let rendering = render(&self.loaded.scene, &self.loaded.camera, technique, &self.request, progress)?;
-        Ok((rendering, ms_since(start)))
+    fn run(&self, technique: &dyn Technique, progress: &Progress) -> Result<Rendering> {
+        render(&self.loaded.scene, &self.loaded.camera, technique, &self.request, progress)
     }
 
     fn timed_run(&self, technique: &dyn Technique, progress: &Progress) -> Result<Run> {
-        let (mut rendering, wall) = self.run(technique, progress)?;
-        Ok(Run {
-            wall,
-            build: rendering.build_ms,
-            render: rendering.render_ms,
-            build_passes: std::mem::take(&mut rendering.build_passes),
-            passes: std::mem::take(&mut rendering.lights[0].passes),
-        })
+        Run::of(|| self.run(technique, progress))
     }
 
     /// Runs the technique and the baseline in turn.
@@ -127,13 +139,14 @@ impl Subject {
             let ratios = runs.iter().zip(&baselines).map(|(run, baseline)| of(run) / of(baseline)).collect();
             Spread::of(ratios).expect("at least one pair")
         };
+        let all: Vec<&Run> = runs.iter().collect();
         Ok(Times {
             runs: runs.len() as u32,
             wall_ms: spread(&runs, |run| run.wall),
             build_ms: spread(&runs, |run| run.build),
             render_ms: spread(&runs, |run| run.render),
-            build_passes: median_passes(&runs, |run| &run.build_passes),
-            passes: median_passes(&runs, |run| &run.passes),
+            build_passes: median_passes(&all, |run| &run.build_passes),
+            passes: median_passes(&all, |run| &run.passes),
             baseline: Baseline {
                 runs: baselines.len() as u32,
                 wall_ms: spread(&baselines, |run| run.wall),
@@ -146,15 +159,15 @@ impl Subject {
 }
 
 /// The rendering of one light as an image that can be compared.
-fn image(loaded: &LoadedScene, rendering: &mut Rendering, technique: &dyn Technique) -> Image {
+pub(super) fn image(loaded: &LoadedScene, rendering: &mut Rendering, technique: &dyn Technique) -> Image {
     let origin = Origin { technique: "bench", parameters: technique.parameters() };
     image_of(&loaded.scene, rendering, &origin, Quantity::Visibility, &[Aov::Position])
 }
 
 /// Median over the runs of each pass that all of them have; passes of one name count together.
-fn median_passes(runs: &[Run], of: fn(&Run) -> &Vec<Pass>) -> Vec<PassTime> {
+pub(super) fn median_passes(runs: &[&Run], of: fn(&Run) -> &Vec<Pass>) -> Vec<PassTime> {
     let mut names: Vec<&'static str> = Vec::new();
-    for pass in runs.iter().flat_map(of) {
+    for pass in runs.iter().flat_map(|run| of(run)) {
         if !names.contains(&pass.name) {
             names.push(pass.name);
         }
@@ -171,6 +184,6 @@ fn median_passes(runs: &[Run], of: fn(&Run) -> &Vec<Pass>) -> Vec<PassTime> {
 }
 
 /// Lets the system count the process's largest resident size anew (Linux; proc(5), clear_refs); whether it does.
-fn reset_peak_rss() -> bool {
+pub(super) fn reset_peak_rss() -> bool {
     cfg!(target_os = "linux") && std::fs::write("/proc/self/clear_refs", "5").is_ok()
 }

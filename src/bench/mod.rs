@@ -1,15 +1,18 @@
 //! `bench`: techniques measured against each other and against the exact answer, over a suite of scenes.
 //!
-//! A suite ([`suite`]) is read and checked as a whole, then measured configuration by configuration ([`measure`]); after each,
-//! [`results`] are on disk, and a later run goes on from there. [`report`] draws what [`analysis`] makes of them.
+//! A suite ([`suite`]) is read and checked as a whole, then measured configuration by configuration ([`measure`], and [`sequence`]
+//! where the scene moves); after each, [`results`] are on disk, and a later run goes on from there. [`report`] draws what [`analysis`] makes of them.
 
 pub mod analysis;
 pub mod chart;
 pub mod measure;
+pub mod motion;
 pub mod report;
 pub mod results;
+pub mod sequence;
 pub mod suite;
 
+use std::collections::BTreeSet;
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -18,6 +21,7 @@ use image::imageops::FilterType;
 
 use self::measure::Subject;
 use self::results::{Machine, Outcome, Record, Results};
+use self::sequence::MovingSubject;
 use self::suite::{Configuration, Group, Plan};
 use crate::image::{Image, write_png};
 use crate::metrics::{self, Map};
@@ -92,6 +96,11 @@ fn difference_path(directory: &Path, key: &str) -> PathBuf {
     directory.join("pictures").join(format!("{key}.difference.png"))
 }
 
+/// What a frame's pictures are found by.
+fn frame_key(key: &str, frame: u32) -> String {
+    format!("{key}.{frame}")
+}
+
 fn at_most(picture: DynamicImage) -> DynamicImage {
     if picture.width() <= PICTURE_WIDTH {
         return picture;
@@ -99,13 +108,15 @@ fn at_most(picture: DynamicImage) -> DynamicImage {
     picture.resize(PICTURE_WIDTH, u32::MAX, FilterType::Triangle)
 }
 
-/// Runs a suite: what `directory` holds already is kept, the rest is measured.
+/// Runs a suite, or `only` those of its experiments whose titles hold one of these texts: what `directory` holds already is
+/// kept, the rest is measured.
 ///
 /// # Errors
 /// A suite or results that can't be read, in one line; [`Error::Cancelled`], with everything that is done on disk. What a
 /// single configuration can't do is a record.
 pub fn run(
     suite: &Path,
+    only: &[String],
     directory: &Path,
     cache: Option<&Path>,
     progress: &Progress,
@@ -113,7 +124,7 @@ pub fn run(
 ) -> Result<Summary> {
     let machine = Machine::this();
     watch(Event::Started("checking the suite".into()));
-    let plan = Plan::read(suite, &machine, progress)?;
+    let plan = Plan::read(suite, only, &machine, progress)?;
     let places = Places { directory, cache: cache.map_or_else(|| directory.join("cache"), Path::to_path_buf) };
     let mut results = Results::read(&places.results())?;
     fs::create_dir_all(directory.join("pictures")).map_err(|cause| Error::io(directory, cause))?;
@@ -121,7 +132,9 @@ pub fn run(
     results.suite.clone_from(&plan.name);
     let mut summary = Summary { report: directory.join("report.html"), ..Summary::default() };
     let mut to_do: Vec<&Configuration> = Vec::new();
-    for configuration in &plan.configurations {
+    // Experiments may ask for the same.
+    let mut keys = BTreeSet::new();
+    for configuration in plan.configurations.iter().filter(|configuration| keys.insert(&configuration.key)) {
         let group = &plan.groups[configuration.group];
         let record = |outcome| Record::new(configuration, group, &machine, outcome);
         if let Some(message) = &configuration.skipped {
@@ -172,7 +185,6 @@ fn measure_all(
             Err(Error::Cancelled) => return Err(Error::Cancelled),
             Ok((subject, warnings)) => {
                 warnings.into_iter().for_each(|warning| watch(Event::Warning(warning)));
-                places.write_visibility(&group.key, &subject.reference)?;
                 Ok(subject)
             }
             Err(error) => Err(error.to_string()),
@@ -199,13 +211,30 @@ fn measure_all(
     Ok(())
 }
 
-fn subject(group: &Group, places: &Places, progress: &Progress) -> Result<(Subject, Vec<String>)> {
-    Subject::new(group.load()?, group.size, &places.cache, progress)
+/// What a group's techniques are held against.
+enum Truth<'a> {
+    Still(Box<Subject>),
+    Moving(Box<MovingSubject<'a>>),
+}
+
+fn subject<'a>(group: &'a Group, places: &Places, progress: &Progress) -> Result<(Truth<'a>, Vec<String>)> {
+    match &group.frames {
+        None => {
+            let (subject, warnings) = Subject::new(group.load()?, group.size, &places.cache, progress)?;
+            places.write_visibility(&group.key, &subject.reference)?;
+            Ok((Truth::Still(Box::new(subject)), warnings))
+        }
+        Some(frames) => {
+            let show = |frame, image: &Image| places.write_visibility(&frame_key(&group.key, frame), image);
+            let (subject, warnings) = MovingSubject::new(group, frames, &places.cache, progress, show)?;
+            Ok((Truth::Moving(Box::new(subject)), warnings))
+        }
+    }
 }
 
 fn measure(
     configuration: &Configuration,
-    subject: &Subject,
+    subject: &Truth,
     plan: &Plan,
     places: &Places,
     progress: &Progress,
@@ -213,8 +242,23 @@ fn measure(
     // A context of its own: what a GPU held at most is then this configuration's.
     let context = Context::default();
     let technique = (configuration.entry.build)(&context, &configuration.settings)?;
-    let (measured, image) = subject.measure(technique.as_ref(), plan.timing, progress)?;
-    places.write_visibility(&configuration.key, &image)?;
-    places.write_difference(&configuration.key, &image, &subject.reference)?;
+    let key = &configuration.key;
+    let measured = match subject {
+        Truth::Still(subject) => {
+            let (measured, image) = subject.measure(technique.as_ref(), plan.timing, progress)?;
+            places.write_visibility(key, &image)?;
+            places.write_difference(key, &image, &subject.reference)?;
+            measured
+        }
+        Truth::Moving(subject) => {
+            let (measured, shown) = subject.measure(technique.as_ref(), plan.timing, progress)?;
+            for shown in shown {
+                let key = frame_key(key, shown.frame);
+                places.write_visibility(&key, &shown.image)?;
+                places.write_difference(&key, &shown.image, &shown.reference)?;
+            }
+            measured
+        }
+    };
     Ok(Outcome::Done(Box::new(measured)))
 }

@@ -11,17 +11,23 @@ use minijinja::{Environment, context};
 use serde::Serialize;
 
 use super::analysis::{EQUAL_TIME, LEAST_ERROR, Point, Spread, error_at, hull, time_to};
-use super::chart::{COLORS, Chart, Labels, Mark, Series, short};
-use super::results::{Measured, Outcome, Record, Results, Times};
-use super::suite::{Group, Plan, label};
-use super::{difference_path, picture_path};
-use crate::metrics;
+use super::chart::{COLORS, Chart, Labels, Mark, Scale, Series, short};
+use super::results::{FrameRecord, Measured, Outcome, Record, Results, SequenceRecord, Times};
+use super::suite::{Experiment, Group, Plan, Sweep, label};
+use super::{difference_path, frame_key, picture_path};
+use crate::metrics::{self, SMALL_ERRORS, Since};
 use crate::output::write_atomically;
 use crate::techniques::BEST;
 use crate::{Error, Result};
 
 /// Errors to which times are told (`docs/bench.md`).
 const TARGETS: [f64; 3] = [1e-2, 3e-3, 1e-3];
+
+/// What an error is in charts.
+const RMSE: &str = "RMSE of visibility, penumbra";
+
+/// What a technique takes of the light, in charts: its maps may be several a point.
+const POINTS: &str = "points of the light";
 
 /// Lines of one chart of what something grows with, at most: more can't be told apart.
 const MOST_LINES: usize = COLORS.len();
@@ -35,6 +41,7 @@ struct Clock {
     time: fn(&Times) -> Spread,
     ratio: fn(&Times) -> Spread,
     baseline: fn(&Times) -> Spread,
+    frame_ratio: fn(&FrameRecord) -> f64,
 }
 
 const CLOCKS: [Clock; 2] = [
@@ -44,6 +51,7 @@ const CLOCKS: [Clock; 2] = [
         time: |time| time.wall_ms,
         ratio: |time| time.baseline.wall_ratio,
         baseline: |time| time.baseline.wall_ms,
+        frame_ratio: |frame| frame.wall_ratio,
     },
     Clock {
         name: "render",
@@ -51,6 +59,7 @@ const CLOCKS: [Clock; 2] = [
         time: |time| time.render_ms,
         ratio: |time| time.baseline.render_ratio,
         baseline: |time| time.baseline.render_ms,
+        frame_ratio: |frame| frame.render_ratio,
     },
 ];
 
@@ -68,12 +77,73 @@ struct Page<'a> {
     runs: u32,
     seconds: f64,
     targets: Vec<String>,
-    overview: Vec<Overview>,
     refused: Vec<Refused>,
-    groups: Vec<GroupView>,
-    scaling: Vec<ScalingView>,
+    sections: Vec<Section<'a>>,
     /// Records of earlier suites, which are not shown.
     others: usize,
+}
+
+/// An experiment.
+#[derive(Debug, Serialize)]
+struct Section<'a> {
+    id: usize,
+    /// Empty where the suite has no experiments.
+    title: &'a str,
+    paper: &'a str,
+    summary: Option<Summary>,
+    charts: Vec<ScalingView>,
+    overview: Vec<Overview>,
+    scaling: Vec<ScalingView>,
+    groups: Vec<GroupView>,
+}
+
+/// An experiment's figures in one table.
+#[derive(Debug, Serialize)]
+struct Summary {
+    baseline: Option<String>,
+    /// Whether some group is a sequence.
+    moving: bool,
+    /// Frames whose errors are told apart.
+    shown: Vec<u32>,
+    settling: Vec<SettlingHeading>,
+    groups: Vec<SummaryGroup>,
+}
+
+/// Which frames to which error a column has.
+#[derive(Debug, Serialize)]
+struct SettlingHeading {
+    since: &'static str,
+    error: String,
+}
+
+#[derive(Debug, Serialize)]
+struct SummaryGroup {
+    id: usize,
+    name: String,
+    /// Whether it is a sequence.
+    moving: bool,
+    rows: Vec<SummaryRow>,
+}
+
+#[derive(Debug, Serialize)]
+struct SummaryRow {
+    number: usize,
+    technique: String,
+    label: String,
+    shadow_maps: u32,
+    samples: u32,
+    rmse: String,
+    flip: String,
+    ratio: String,
+    /// Frame rates over the baseline's: of the whole frame, of the technique alone.
+    rates: Vec<String>,
+    memory: String,
+    frame: String,
+    slowest: String,
+    flicker: String,
+    ghost_area: String,
+    settling: Vec<String>,
+    shown: Vec<String>,
 }
 
 /// Times to the targets, of one clock.
@@ -106,8 +176,10 @@ struct GroupView {
     source: String,
     triangles: u64,
     penumbra: u64,
+    /// Of a sequence.
+    frames: Option<usize>,
     sampled: u64,
-    reference: Option<String>,
+    references: Vec<Picture>,
     views: Vec<ClockView>,
     rows: Vec<Row>,
     passes: Vec<PassColor>,
@@ -170,9 +242,16 @@ struct Row {
     shadow_maps: u32,
     adapter: String,
     notes: Vec<String>,
-    picture: Option<String>,
-    difference: Option<String>,
+    pictures: Vec<Picture>,
     parts: Vec<Part>,
+}
+
+/// A picture of visibility, and of how far off it is.
+#[derive(Debug, Serialize)]
+struct Picture {
+    caption: String,
+    visibility: Option<String>,
+    difference: Option<String>,
 }
 
 /// A part of a frame's time.
@@ -190,12 +269,11 @@ struct PassColor {
     color: &'static str,
 }
 
-/// How times and errors change with one thing, the rest being equal.
+/// How times, errors and other figures change with one thing, the rest being equal.
 #[derive(Debug, Serialize)]
 struct ScalingView {
     title: String,
-    time: Option<Chart>,
-    error: Option<Chart>,
+    charts: Vec<Chart>,
     left_out: usize,
 }
 
@@ -209,6 +287,27 @@ struct Found<'a> {
 }
 
 impl Found<'_> {
+    /// The sequences that were measured.
+    fn sequences(&self) -> impl Iterator<Item = &SequenceRecord> {
+        self.records.iter().filter_map(|(_, measured)| measured.sequence.as_ref())
+    }
+
+    /// The techniques' names, in the order in which they turn up.
+    fn techniques(&self) -> Vec<&str> {
+        let mut names: Vec<&str> = Vec::new();
+        for (record, _) in &self.records {
+            if !names.contains(&record.technique.as_str()) {
+                names.push(&record.technique);
+            }
+        }
+        names
+    }
+
+    /// The numbers of the frames that the report shows.
+    fn shown(&self) -> &[u32] {
+        self.group.frames.as_ref().map_or(&[], |frames| &frames.shown)
+    }
+
     /// Median of the baseline's times, ms: all of the group's ratios are to it.
     fn baseline(&self, clock: Clock) -> f64 {
         let medians = self.records.iter().map(|(_, measured)| (clock.baseline)(&measured.time).median).collect();
@@ -297,15 +396,147 @@ fn page<'a>(plan: &'a Plan, results: &Results, directory: &Path) -> Page<'a> {
         runs: plan.timing.runs,
         seconds: plan.timing.seconds,
         targets: TARGETS.iter().map(ToString::to_string).collect(),
-        overview: CLOCKS.iter().map(|clock| overview(&found, *clock)).collect(),
         refused,
-        groups: found.iter().enumerate().map(|(id, found)| group_view(id, found, directory)).collect(),
-        scaling: scaling(&found),
-        others: results.records.len() - shown.len(),
+        sections: plan.experiments.iter().enumerate().map(|(id, of)| section(id, of, &found, directory)).collect(),
+        // Experiments may share a record.
+        others: results.records.len() - unique(shown.iter().map(|record| record.key.clone()).collect()).len(),
     }
 }
 
-fn overview(found: &[Found], clock: Clock) -> Overview {
+fn section<'a>(id: usize, experiment: &'a Experiment, found: &[Found], directory: &Path) -> Section<'a> {
+    let first = experiment.groups.start;
+    let found = &found[experiment.groups.clone()];
+    let mut charts: Vec<ScalingView> = experiment.x.iter().flat_map(|x| sweep_views(x, found)).collect();
+    charts.extend(found.iter().filter_map(frame_view));
+    let views = found.iter().enumerate().map(|(i, found)| group_view(first + i, found, directory));
+    Section {
+        id,
+        title: &experiment.title,
+        paper: &experiment.paper,
+        summary: summary(experiment, found),
+        charts,
+        overview: CLOCKS.iter().map(|clock| overview(found, first, *clock)).collect(),
+        scaling: scaling(found),
+        groups: views.collect(),
+    }
+}
+
+/// The figures of an experiment or of sequences; none of a plain suite of single images, whose groups have it all.
+fn summary(experiment: &Experiment, found: &[Found]) -> Option<Summary> {
+    let sequences = || found.iter().flat_map(Found::sequences);
+    let moving = sequences().next().is_some();
+    if experiment.title.is_empty() && !moving {
+        return None;
+    }
+    let mut shown: Vec<u32> =
+        found.iter().filter_map(|found| found.group.frames.as_ref()).flat_map(|frames| frames.shown.clone()).collect();
+    shown.sort_unstable();
+    shown.dedup();
+    let kinds: Vec<(Since, f64)> = [Since::Start, Since::Disocclusion]
+        .into_iter()
+        .flat_map(|since| SMALL_ERRORS.map(|error| (since, error)))
+        .filter(|&(since, error)| sequences().any(|sequence| sequence.stability.settling(since, error).is_some()))
+        .collect();
+    let heading = |&(since, error): &(Since, f64)| {
+        let since = match since {
+            Since::Start => "from the start",
+            Since::Disocclusion => "disoccluded",
+        };
+        let error = if error == SMALL_ERRORS[0] { "1/255".to_owned() } else { error.to_string() };
+        SettlingHeading { since, error }
+    };
+    let group = |(i, found): (usize, &Found)| {
+        let baseline = experiment.baseline.as_ref().and_then(|baseline| {
+            let is_it =
+                |record: &Record| record.technique == baseline.technique && record.parameters == baseline.parameters;
+            found.records.iter().find(|(record, _)| is_it(record)).map(|(_, measured)| *measured)
+        });
+        let row = |(number, (record, measured)): (usize, &(&Record, &Measured))| {
+            let penumbra = measured.errors.masks.get(&metrics::Mask::Penumbra).copied().unwrap_or_default();
+            let time = &measured.time;
+            let sequence = measured.sequence.as_ref();
+            let stability = sequence.map(|sequence| &sequence.stability);
+            let settling = |&(since, error): &(Since, f64)| {
+                let frames = |frames: Option<u32>| frames.map_or_else(|| "∞".into(), |frames| frames.to_string());
+                stability.and_then(|stability| stability.settling(since, error)).map_or_else(
+                    || "–".into(),
+                    |found| {
+                        format!("{} / {} / {} %", frames(found.median), frames(found.p95), short(100.0 * found.never))
+                    },
+                )
+            };
+            let at = |number: &u32| {
+                let frame = sequence.and_then(|sequence| sequence.frames.iter().find(|frame| frame.frame == *number));
+                number_or_none(frame.and_then(|frame| frame.rmse))
+            };
+            let rate = |clock: &Clock| baseline.map_or_else(|| "–".into(), |base| short(rate(measured, base, *clock)));
+            SummaryRow {
+                number: number + 1,
+                technique: record.technique.clone(),
+                label: label(&record.technique, &record.preset, &record.settings),
+                shadow_maps: measured.shadow_maps,
+                samples: measured.samples,
+                rmse: number_or_none(penumbra.rmse),
+                flip: number_or_none(penumbra.flip),
+                ratio: short(time.baseline.wall_ratio.median),
+                rates: CLOCKS.iter().map(rate).collect(),
+                memory: memory(measured),
+                frame: format!(
+                    "{} ({} to {})",
+                    short(time.wall_ms.median),
+                    short(time.wall_ms.q1),
+                    short(time.wall_ms.q3)
+                ),
+                slowest: sequence.map_or_else(
+                    || "–".into(),
+                    |of| format!("{} / {}", short(of.wall_max_over_median), short(of.render_max_over_median)),
+                ),
+                flicker: number_or_none(stability.and_then(|stability| stability.flicker)),
+                ghost_area: stability
+                    .and_then(|stability| stability.ghost_area)
+                    .map_or_else(|| "–".into(), |share| format!("{} %", short(100.0 * share))),
+                settling: kinds.iter().map(settling).collect(),
+                shown: shown.iter().map(at).collect(),
+            }
+        };
+        SummaryGroup {
+            id: experiment.groups.start + i,
+            name: found.group.label(),
+            moving: found.group.frames.is_some(),
+            rows: found.records.iter().enumerate().map(row).collect(),
+        }
+    };
+    Some(Summary {
+        baseline: experiment.baseline.as_ref().map(|baseline| baseline.name.clone()),
+        moving,
+        settling: kinds.iter().map(heading).collect(),
+        groups: found.iter().enumerate().map(group).collect(),
+        shown,
+    })
+}
+
+/// Frames a second over another's: by the ratios to `rays` that each was run in turn with; of sequences the median over their
+/// frames.
+fn rate(of: &Measured, over: &Measured, clock: Clock) -> f64 {
+    let single = (clock.ratio)(&over.time).median / (clock.ratio)(&of.time).median;
+    let frames = of.sequence.as_ref().zip(over.sequence.as_ref()).and_then(|(of, over)| {
+        let rates = of.frames.iter().zip(&over.frames);
+        Spread::of(rates.map(|(of, over)| (clock.frame_ratio)(over) / (clock.frame_ratio)(of)).collect())
+    });
+    frames.map_or(single, |rates| rates.median)
+}
+
+/// On a GPU that of its allocator, else the process's, MB.
+fn memory(measured: &Measured) -> String {
+    let memory = &measured.memory_mb;
+    if memory.gpu > 0.0 { short(memory.gpu) } else { number_or_none(memory.peak_rss) }
+}
+
+fn number_or_none(value: Option<f64>) -> String {
+    value.map_or_else(|| "–".into(), short)
+}
+
+fn overview(found: &[Found], first: usize, clock: Clock) -> Overview {
     let points: Vec<_> = found.iter().map(|found| found.points(clock)).collect();
     let mut techniques: Vec<String> = Vec::new();
     for (name, _) in points.iter().flatten() {
@@ -324,25 +555,20 @@ fn overview(found: &[Found], clock: Clock) -> Overview {
             };
             TARGETS.iter().map(cell).collect()
         };
-        OverviewRow { id, name: found[id].group.label(), cells: techniques.iter().map(cells).collect() }
+        OverviewRow { id: first + id, name: found[id].group.label(), cells: techniques.iter().map(cells).collect() }
     };
     Overview { clock: clock.name, rows: points.iter().enumerate().map(row).collect(), techniques }
 }
 
 fn group_view(id: usize, found: &Found, directory: &Path) -> GroupView {
     let first = found.records.first().map(|(_, measured)| *measured);
-    let mut names: Vec<String> = Vec::new();
-    for (record, _) in &found.records {
-        if !names.contains(&record.technique) {
-            names.push(record.technique.clone());
-        }
-    }
+    let names = found.techniques();
     let mut colors = PassColors::default();
     let rows = found
         .records
         .iter()
         .enumerate()
-        .map(|(i, (record, measured))| row(i + 1, record, measured, &names, &mut colors, directory))
+        .map(|(i, (record, measured))| row(i + 1, record, measured, (&names, found.shown()), &mut colors, directory))
         .collect();
     GroupView {
         id,
@@ -350,16 +576,61 @@ fn group_view(id: usize, found: &Found, directory: &Path) -> GroupView {
         source: found.group.source.clone(),
         triangles: found.group.triangles,
         penumbra: first.and_then(|m| m.errors.masks.get(&metrics::Mask::Penumbra)).map_or(0, |errors| errors.count),
+        frames: found.group.frames.as_ref().map(|frames| frames.numbers.len()),
         sampled: first.map_or(0, |measured| measured.reference.sampled_receivers),
-        reference: data_uri(&picture_path(directory, &found.group.key)),
+        references: references(found, directory),
         views: CLOCKS.iter().map(|clock| clock_view(found, *clock)).collect(),
         rows,
         passes: colors.0.into_iter().map(|(name, color)| PassColor { name, color }).collect(),
     }
 }
 
+/// The pictures of a group's exact answers.
+fn references(found: &Found, directory: &Path) -> Vec<Picture> {
+    let picture = |key: &str, caption: String| Picture {
+        caption,
+        visibility: data_uri(&picture_path(directory, key)),
+        difference: None,
+    };
+    let key = &found.group.key;
+    match found.group.frames {
+        None => vec![picture(key, "exact V".into())],
+        Some(_) => {
+            let frame = |&frame: &u32| picture(&frame_key(key, frame), format!("exact V, frame {frame}"));
+            found.shown().iter().map(frame).collect()
+        }
+    }
+}
+
+/// The pictures of a record: one of a single image, else those of the frames that are shown.
+fn pictures(record: &Record, measured: &Measured, number: usize, shown: &[u32], directory: &Path) -> Vec<Picture> {
+    let picture = |key: &str, caption: String| Picture {
+        caption,
+        visibility: data_uri(&picture_path(directory, key)),
+        difference: data_uri(&difference_path(directory, key)),
+    };
+    let name = format!("{number}: {}", describe(record));
+    let Some(sequence) = &measured.sequence else {
+        let rmse = number_or_none(penumbra_rmse(measured));
+        let ratio = short(measured.time.baseline.wall_ratio.median);
+        return vec![picture(&record.key, format!("{name}; RMSE {rmse}, {ratio} × rays 64"))];
+    };
+    let frames = sequence.frames.iter().filter(|frame| shown.contains(&frame.frame));
+    frames
+        .map(|frame| {
+            let caption = format!("{name}; frame {}, RMSE {}", frame.frame, number_or_none(frame.rmse));
+            picture(&frame_key(&record.key, frame.frame), caption)
+        })
+        .collect()
+}
+
+fn color_of(techniques: &[&str], record: &Record) -> &'static str {
+    let series = techniques.iter().position(|name| *name == record.technique).unwrap_or_default();
+    COLORS[series % COLORS.len()]
+}
+
 fn describe(record: &Record) -> String {
-    format!("{} {}", record.technique, label(&record.preset, &record.settings))
+    format!("{} {}", record.technique, label(&record.technique, &record.preset, &record.settings))
 }
 
 fn clock_view(found: &Found, clock: Clock) -> ClockView {
@@ -394,7 +665,7 @@ fn clock_view(found: &Found, clock: Clock) -> ClockView {
         })
         .collect();
     let top = Some(("times that of rays with 64 samples", found.baseline(clock)));
-    let labels = Labels { x: clock.axis, y: "RMSE of visibility, penumbra", top };
+    let labels = Labels { x: clock.axis, x_scale: Scale::Log, y: RMSE, top };
     ClockView {
         clock: clock.name,
         chart: Chart::new(&series, labels),
@@ -491,21 +762,19 @@ fn row(
     number: usize,
     record: &Record,
     measured: &Measured,
-    techniques: &[String],
+    (techniques, shown): (&[&str], &[u32]),
     colors: &mut PassColors,
     directory: &Path,
 ) -> Row {
     let time = &measured.time;
     let errors = |mask| measured.errors.masks.get(&mask).copied().unwrap_or_default();
     let penumbra = errors(metrics::Mask::Penumbra);
-    let number_or_none = |value: Option<f64>| value.map_or_else(|| "–".into(), short);
     let outliers = |outliers: Option<metrics::Outliers>| outliers.map_or_else(|| "–".into(), |o| o.count.to_string());
-    let series = techniques.iter().position(|name| *name == record.technique).unwrap_or_default();
     Row {
         number,
         technique: record.technique.clone(),
-        color: COLORS[series % COLORS.len()],
-        label: label(&record.preset, &record.settings),
+        color: color_of(techniques, record),
+        label: label(&record.technique, &record.preset, &record.settings),
         parameters: record.parameters.to_string(),
         wall: short(time.wall_ms.median),
         wall_quartiles: format!("{} to {}", short(time.wall_ms.q1), short(time.wall_ms.q3)),
@@ -531,8 +800,7 @@ fn row(
         shadow_maps: measured.shadow_maps,
         adapter: record.adapter.as_ref().map_or_else(|| "–".into(), |adapter| adapter.name.clone()),
         notes: measured.notes.clone(),
-        picture: data_uri(&picture_path(directory, &record.key)),
-        difference: data_uri(&difference_path(directory, &record.key)),
+        pictures: pictures(record, measured, number, shown, directory),
         parts: parts(time, colors),
     }
 }
@@ -597,48 +865,144 @@ fn scaling(found: &[Found]) -> Vec<ScalingView> {
 }
 
 fn scaling_view(title: String, variable: &str, family: &[(f64, &Found)]) -> ScalingView {
-    let mut names: Vec<String> = Vec::new();
-    for (record, _) in family.iter().flat_map(|(_, found)| &found.records) {
-        let name = describe(record);
-        if !names.contains(&name) {
-            names.push(name);
+    let mut lines = Lines::default();
+    for (x, found) in family {
+        for (record, measured) in &found.records {
+            let line = lines.line(describe(record));
+            line.push((*x, [Some((CLOCKS[0].time)(&measured.time).median), drawn_rmse(penumbra_rmse(measured)), None]));
         }
     }
-    let left_out = names.len().saturating_sub(MOST_LINES);
-    names.truncate(MOST_LINES);
-    let series = |value: &dyn Fn(&Measured) -> Option<f64>| -> Vec<Series> {
-        names
-            .iter()
-            .map(|name| {
-                let points: Vec<[f64; 2]> = family
+    lines.view(title, (variable, Scale::Log), [CLOCKS[0].axis, RMSE, ""])
+}
+
+/// What a chart can show of an error.
+fn drawn_rmse(rmse: Option<f64>) -> Option<f64> {
+    rmse.map(|error| error.max(LEAST_ERROR))
+}
+
+/// A place along a chart's lower axis with the heights of as many charts as there are.
+type Place = (f64, [Option<f64>; 3]);
+
+/// Lines by name, for three charts over the same lower axis.
+#[derive(Debug, Default)]
+struct Lines(Vec<(String, Vec<Place>)>);
+
+impl Lines {
+    fn line(&mut self, name: String) -> &mut Vec<Place> {
+        let index = self.0.iter().position(|(known, _)| *known == name).unwrap_or_else(|| {
+            self.0.push((name, Vec::new()));
+            self.0.len() - 1
+        });
+        &mut self.0[index].1
+    }
+
+    /// Their charts; those without a point are left out.
+    fn view(mut self, title: String, (x, x_scale): (&str, Scale), y: [&str; 3]) -> ScalingView {
+        let left_out = self.0.len().saturating_sub(MOST_LINES);
+        self.0.truncate(MOST_LINES);
+        for (_, places) in &mut self.0 {
+            places.sort_by(|a, b| a.0.total_cmp(&b.0));
+        }
+        let chart = |(i, y): (usize, &str)| {
+            let series = |(name, places): &(String, Vec<Place>)| {
+                // Nothing has no place on a logarithmic axis.
+                let points: Vec<[f64; 2]> = places
                     .iter()
-                    .filter_map(|(x, found)| {
-                        let (_, measured) = found.records.iter().find(|(record, _)| describe(record) == *name)?;
-                        Some([*x, value(measured)?])
-                    })
+                    .filter_map(|(x, values)| Some([*x, values[i].filter(|value| *value > 0.0)?]))
                     .collect();
                 let mark = |&at: &[f64; 2]| Mark {
                     at,
-                    title: format!("{name}\n{} {variable}: {}", short(at[0]), short(at[1])),
+                    title: format!("{name}\n{} {x}: {}", short(at[0]), short(at[1])),
                     number: String::new(),
                     hollow: false,
                 };
                 Series { name: name.clone(), marks: points.iter().map(mark).collect(), line: points }
-            })
-            .collect()
-    };
-    let labels = |y| Labels { x: variable, y, top: None };
-    let wall = CLOCKS[0];
-    ScalingView {
-        title,
-        time: Chart::new(&series(&|measured| Some((wall.time)(&measured.time).median)), labels(wall.axis)),
-        error: Chart::new(
-            &series(&|measured| penumbra_rmse(measured).map(|error| error.max(LEAST_ERROR))),
-            labels("RMSE of visibility, penumbra"),
-        ),
-        left_out,
+            };
+            let series: Vec<Series> = self.0.iter().map(series).collect();
+            Chart::new(&series, Labels { x, x_scale, y, top: None })
+        };
+        ScalingView { title, charts: y.into_iter().enumerate().filter_map(chart).collect(), left_out }
     }
 }
+
+/// A record's name among others: without the settings that all of its technique have.
+fn name_among(record: &Record, others: &[&Record], without: Option<&str>) -> String {
+    let same = || others.iter().filter(|other| other.technique == record.technique);
+    let told_apart = |key: &str, value: &serde_json::Value| {
+        Some(key) != without && same().any(|other| other.settings.get(key) != Some(value))
+    };
+    let mut settings = record.settings.clone();
+    settings.retain(|key, value| told_apart(key, value));
+    let is_alone = settings.is_empty() && same().all(|other| other.preset == record.preset);
+    if is_alone {
+        record.technique.clone()
+    } else {
+        format!("{} {}", record.technique, label(&record.technique, &record.preset, &settings))
+    }
+}
+
+/// Charts of a sequence's frames.
+fn frame_view(found: &Found) -> Option<ScalingView> {
+    found.sequences().next()?;
+    let records: Vec<&Record> = found.records.iter().map(|(record, _)| *record).collect();
+    let mut lines = Lines::default();
+    for (record, measured) in &found.records {
+        let Some(sequence) = &measured.sequence else { continue };
+        let line = lines.line(name_among(record, &records, None));
+        for (i, frame) in sequence.frames.iter().enumerate() {
+            // As in the other charts, what the machine did otherwise at the time is taken out by the baseline.
+            let baselines = found.sequences().filter_map(|sequence| Some(sequence.frames.get(i)?.baseline_render_ms));
+            let baseline = Spread::of(baselines.collect()).map_or(f64::NAN, |spread| spread.median);
+            let points = Some(f64::from(frame.samples));
+            line.push((f64::from(frame.frame), [Some(frame.render_ratio * baseline), drawn_rmse(frame.rmse), points]));
+        }
+    }
+    let title = format!("{}: frame by frame", found.group.label());
+    Some(lines.view(title, ("frame", Scale::Linear), [CLOCKS[1].axis, RMSE, POINTS]))
+}
+
+/// Charts of what an experiment varies.
+fn sweep_views(x: &Sweep, found: &[Found]) -> Vec<ScalingView> {
+    let records: Vec<&Record> = found.iter().flat_map(|found| &found.records).map(|(record, _)| *record).collect();
+    let (name, parameter) = match x {
+        Sweep::Parameter(name) => (name.as_str(), Some(name.as_str())),
+        Sweep::Scene(name) => (name.as_str(), None),
+    };
+    // What a scene's name varies makes one chart of all scenes; a parameter makes one of each group.
+    let mut views: Vec<(String, Lines)> = Vec::new();
+    for found in found {
+        let title = match x {
+            Sweep::Parameter(_) => found.group.label(),
+            Sweep::Scene(_) => format!("{}, {}x{}", found.group.light.name, found.group.size[0], found.group.size[1]),
+        };
+        if views.iter().all(|(known, _)| *known != title) {
+            views.push((title.clone(), Lines::default()));
+        }
+        let (_, lines) = views.iter_mut().find(|(known, _)| *known == title).expect("just added");
+        for (record, measured) in &found.records {
+            let value = match x {
+                Sweep::Parameter(name) => record.parameters[name.as_str()].as_f64(),
+                Sweep::Scene(name) => found.group.scene_value(name),
+            };
+            let Some(value) = value else { continue };
+            let ratio = measured.time.baseline.wall_ratio.median;
+            let points = Some(f64::from(measured.samples));
+            let figures = [points, drawn_rmse(penumbra_rmse(measured)), Some(ratio)];
+            lines.line(name_among(record, &records, parameter)).push((value, figures));
+        }
+    }
+    let labels = [POINTS, RMSE, "whole frame, times rays 64"];
+    let view = |(title, lines): (String, Lines)| {
+        let values = lines.0.iter().flat_map(|(_, places)| places).map(|(x, _)| *x);
+        let [low, high] = values.fold([f64::INFINITY, 0.0], |[low, high], x| [f64::min(low, x), f64::max(high, x)]);
+        let scale = if low > 0.0 && high >= WIDE * low { Scale::Log } else { Scale::Linear };
+        lines.view(format!("{title}: by {name}"), (name, scale), labels)
+    };
+    views.into_iter().map(view).collect()
+}
+
+/// From this ratio of the largest to the smallest on, values are laid out by their logarithms.
+const WIDE: f64 = 8.0;
 
 #[cfg(test)]
 mod tests {
@@ -689,7 +1053,7 @@ mod tests {
         let directory = tempfile::tempdir().expect("a directory");
         let path = directory.path().join("suite.toml");
         fs::write(&path, SUITE).expect("writes");
-        let plan = Plan::read(&path, &Machine::this(), &Progress::default()).expect("a suite");
+        let plan = Plan::read(&path, &[], &Machine::this(), &Progress::default()).expect("a suite");
         let records = [
             record(&plan, 0, "rays", 1.0, 0.1),
             record(&plan, 1, "rays", 100.0, 0.001),
@@ -727,7 +1091,7 @@ mod tests {
         assert!(view.comparisons[2].at_equal_error[0].better && !view.comparisons[1].at_equal_error[0].better);
         assert_eq!(view.comparisons[2].at_equal_error[0].ratio.as_deref(), Some("0.500"));
 
-        let overview = overview(std::slice::from_ref(&found), CLOCKS[0]);
+        let overview = overview(std::slice::from_ref(&found), 0, CLOCKS[0]);
         // `rays`: e = 1/t. `other`: its best is 0.02.
         assert_eq!(overview.rows[0].cells, [["100", "333", "1000"], ["best 0.0200"; 3]]);
     }

@@ -10,16 +10,17 @@ use serde_json::Value;
 use super::analysis::Spread;
 use super::suite::{Configuration, Group};
 use crate::gpu::Adapter;
-use crate::metrics::{LightReport, Mask, PixelCounts};
+use crate::metrics::{LightReport, Mask, PixelCounts, SMALL_ERRORS, Since, Stability};
 use crate::output::write_atomically;
 use crate::techniques::Parameters;
 use crate::{Error, Result};
 
 /// [`Results::version`] of the files that this version writes and reads.
-const VERSION: u32 = 1;
+const VERSION: u32 = 2;
 
-/// Largest file that is read, bytes: a record takes some 5 kB, and a suite has at most 10,000.
-const MAX_FILE_BYTES: u64 = 1 << 28;
+/// Largest file that is read, bytes: a record takes some 5 kB, and a suite has at most 10,000; each frame of a sequence takes
+/// some 600 bytes more.
+pub const MAX_FILE_BYTES: u64 = 1 << 28;
 
 /// A file of results.
 #[derive(Debug, Serialize, Deserialize)]
@@ -37,6 +38,8 @@ pub struct Results {
 pub struct Record {
     /// Hash of what was measured, the version of Penumbra, and the machine.
     pub key: String,
+    /// Titles of the experiments that ask for it.
+    pub experiments: Vec<String>,
     /// The scene's name in the suite.
     pub scene: String,
     /// The scene as the suite gives it.
@@ -47,6 +50,8 @@ pub struct Record {
     pub light: LightRecord,
     /// Width and height, pixels.
     pub size: [u32; 2],
+    /// Frames of a sequence; none of a single image.
+    pub frames: Option<u32>,
     /// The technique.
     pub technique: String,
     /// The preset that it starts from.
@@ -125,7 +130,8 @@ pub enum Outcome {
     },
 }
 
-/// Times and errors.
+/// Times and errors. Of a sequence: times are spreads over its frames, counts those of the middle frame in order of size, errors
+/// those of all frames' pixels together.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct Measured {
     /// Times.
@@ -146,6 +152,64 @@ pub struct Measured {
     pub errors: LightReport,
     /// What a reader should know about the comparison.
     pub notes: Vec<String>,
+    /// Of a sequence.
+    pub sequence: Option<SequenceRecord>,
+}
+
+/// What a sequence has beside a single image.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+pub struct SequenceRecord {
+    /// Frames a second.
+    pub fps: f64,
+    /// The slowest frame's wall clock over the median frame's.
+    pub wall_max_over_median: f64,
+    /// The slowest frame's technique over the median frame's.
+    pub render_max_over_median: f64,
+    /// Flicker, ghosts, frames to an error.
+    pub stability: Stability,
+    /// Frame by frame.
+    pub frames: Vec<FrameRecord>,
+}
+
+/// A frame of a sequence. Times are medians over the passes through the sequence, ms.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct FrameRecord {
+    /// Its number.
+    pub frame: u32,
+    /// Its time in the animation, s.
+    pub seconds: f64,
+    /// As [`Times::wall_ms`].
+    pub wall_ms: f64,
+    /// As [`Times::build_ms`].
+    pub build_ms: f64,
+    /// As [`Times::render_ms`].
+    pub render_ms: f64,
+    /// As [`Baseline::wall_ms`].
+    pub baseline_wall_ms: f64,
+    /// As [`Baseline::render_ms`].
+    pub baseline_render_ms: f64,
+    /// As [`Baseline::wall_ratio`].
+    pub wall_ratio: f64,
+    /// As [`Baseline::render_ratio`].
+    pub render_ratio: f64,
+    /// Light samples a receiver.
+    pub samples: u32,
+    /// Occlusion rays.
+    pub rays: u64,
+    /// Shadow maps, each face counted.
+    pub shadow_maps: u32,
+    /// Pixels in the penumbra.
+    pub penumbra: u64,
+    /// RMSE over the penumbra; none without one.
+    pub rmse: Option<f64>,
+    /// Mean FLIP over the penumbra; none without one.
+    pub flip: Option<f64>,
+    /// RMSE over the mask `all`.
+    pub rmse_all: Option<f64>,
+    /// See [`crate::metrics::Change::flicker`].
+    pub flicker: Option<f64>,
+    /// See [`crate::metrics::Change::ghost_area`].
+    pub ghost_area: Option<f64>,
 }
 
 /// The reference of a configuration.
@@ -229,11 +293,13 @@ impl Record {
     pub fn new(configuration: &Configuration, group: &Group, machine: &Machine, outcome: Outcome) -> Self {
         Self {
             key: configuration.key.clone(),
+            experiments: configuration.experiments.clone(),
             scene: group.scene.clone(),
             source: group.source.clone(),
             triangles: group.triangles,
             light: group.light.clone(),
             size: group.size,
+            frames: group.frames.as_ref().map(|frames| frames.numbers.len() as u32),
             technique: configuration.entry.name.to_owned(),
             preset: configuration.preset.clone(),
             settings: configuration.settings.clone(),
@@ -264,6 +330,7 @@ impl Record {
             Outcome::Skipped { message } => ["skipped", message],
         };
         let adapter = self.adapter.as_ref();
+        add("experiments", self.experiments.join("; "));
         add("scene", self.scene.clone());
         add("source", self.source.clone());
         add("triangles", self.triangles.to_string());
@@ -272,6 +339,7 @@ impl Record {
         add("light_extent", number(self.light.extent));
         add("width", self.size[0].to_string());
         add("height", self.size[1].to_string());
+        add("frames", self.frames.map_or_else(String::new, |frames| frames.to_string()));
         add("technique", self.technique.clone());
         add("preset", self.preset.clone());
         add("settings", Value::Object(self.settings.clone()).to_string());
@@ -317,6 +385,22 @@ impl Record {
         ] {
             add(&format!("{name}_count"), text(outliers.map(|outliers| outliers.count.to_string())));
             add(&format!("{name}_rmse"), number(outliers.and_then(|outliers| outliers.rmse)));
+        }
+        let sequence = measured.and_then(|measured| measured.sequence.as_ref());
+        let stability = sequence.map(|sequence| &sequence.stability);
+        add("wall_max_over_median", number(sequence.map(|sequence| sequence.wall_max_over_median)));
+        add("render_max_over_median", number(sequence.map(|sequence| sequence.render_max_over_median)));
+        add("flicker", number(stability.and_then(|stability| stability.flicker)));
+        add("ghost_area", number(stability.and_then(|stability| stability.ghost_area)));
+        for (since, since_name) in [(Since::Start, "start"), (Since::Disocclusion, "disocclusion")] {
+            for (error, error_name) in SMALL_ERRORS.iter().zip(["8bit", "0.01"]) {
+                let found = stability.and_then(|stability| stability.settling(since, *error));
+                let name = |measure: &str| format!("{since_name}_frames_to_{error_name}_{measure}");
+                add(&name("points"), text(found.map(|found| found.points.to_string())));
+                add(&name("median"), text(found.and_then(|found| found.median).map(|frames| frames.to_string())));
+                add(&name("p95"), text(found.and_then(|found| found.p95).map(|frames| frames.to_string())));
+                add(&name("never"), number(found.map(|found| found.never)));
+            }
         }
         add("banding_rmse_per_px", number(errors.and_then(|errors| errors.banding_rmse_per_px)));
         add("compared_pixels", text(measured.map(|measured| measured.pixels.compared.to_string())));

@@ -13,7 +13,8 @@ use serde_json::Value;
 use toml::Spanned;
 
 use super::results::{LightRecord, Machine};
-use crate::cli::scene_options::{Floor, LoadedScene, SceneOptions, parse_floor, parse_size};
+use crate::cli::frames::{parse_fps, parse_frames};
+use crate::cli::scene_options::{Floor, LoadedScene, SceneOptions, Sequence, parse_floor, parse_size};
 use crate::gpu::Adapter;
 use crate::progress::Progress;
 use crate::reference::cache::hash_scene;
@@ -23,19 +24,27 @@ use crate::techniques::{ALL, BEST, Context, Entry, Linking, Needs, Parameters, p
 use crate::{Error, Result};
 
 /// Suites that come with the binary, by name.
-pub const BUILT_IN: [(&str, &str); 2] = [
+pub const BUILT_IN: [(&str, &str); 3] = [
     ("quick", include_str!("../../scripts/suites/quick.toml")),
     ("scaling", include_str!("../../scripts/suites/scaling.toml")),
+    ("papers", include_str!("../../scripts/suites/papers.toml")),
 ];
 
 /// Part of every key: raised whenever what is measured, or how, changes.
-const REVISION: u32 = 1;
+const REVISION: u32 = 2;
 
 /// Largest suite file that is read, bytes.
 const MAX_FILE_BYTES: u64 = 1 << 20;
 
 /// Most configurations of a suite: at the least time that each may take, a day's work.
 const MAX_CONFIGURATIONS: usize = 10_000;
+
+/// Most frames of all configurations together: a record of one takes some 600 bytes in a file of at most
+/// [`super::results::MAX_FILE_BYTES`].
+const MAX_FRAMES: usize = 250_000;
+
+/// Frames a second, where a scene does not say.
+const FPS: f64 = 24.0;
 
 /// Stands for every registered technique, or for all presets of one.
 const EVERY: &str = "all";
@@ -44,6 +53,7 @@ const EVERY: &str = "all";
 const DEMO: &str = "demo";
 
 /// A suite as written: every technique with each of its settings, on every scene, under each of its lights, at every size.
+/// Either scenes and techniques, or experiments that have their own.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Suite {
@@ -53,11 +63,38 @@ pub struct Suite {
     /// How long is measured.
     pub timing: Option<Spanned<Timing>>,
     /// Image sizes, each `"WxH"`.
+    #[serde(default)]
     pub sizes: Vec<Size>,
-    /// At least one.
+    /// What is rendered.
+    #[serde(default)]
     pub scenes: Vec<SceneEntry>,
-    /// At least one.
+    /// By what.
+    #[serde(default)]
     pub techniques: Vec<TechniqueEntry>,
+    /// In place of scenes and techniques.
+    #[serde(default)]
+    pub experiments: Vec<ExperimentEntry>,
+}
+
+/// Scenes and techniques that answer one question.
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ExperimentEntry {
+    /// What it shows; `--only` picks by it.
+    title: Spanned<String>,
+    /// What a paper says about it; the report puts it beside the figures.
+    #[serde(default)]
+    paper: String,
+    /// Takes the place of the suite's sizes.
+    sizes: Option<Vec<Size>>,
+    /// At least one.
+    scenes: Vec<SceneEntry>,
+    /// At least one.
+    techniques: Vec<TechniqueEntry>,
+    /// The technique in the one setting to whose time the others' are told; measured too if it is not one of them.
+    baseline: Option<TechniqueEntry>,
+    /// What the report draws it against: a parameter of a technique, or one of the procedural scenes.
+    x: Option<Spanned<String>>,
 }
 
 /// How many times each configuration is run. Before them, one run warms up.
@@ -149,6 +186,15 @@ pub struct SceneEntry {
     lights: Vec<LightEntry>,
     /// Takes the place of the suite's sizes.
     sizes: Option<Vec<Size>>,
+    /// Frames of its animation, as `--frames`: they are rendered one after the other.
+    frames: Option<Spanned<String>>,
+    /// As `--fps`.
+    fps: Option<f64>,
+    /// Animation to play, as `--animation`.
+    animation: Option<String>,
+    /// Frames whose error and picture the report shows; without it, the last one's.
+    #[serde(default)]
+    show: Vec<u32>,
 }
 
 /// A light, or several, of a sweep.
@@ -188,13 +234,62 @@ pub struct Plan {
     pub about: String,
     /// How long is measured.
     pub timing: Timing,
-    /// What is compared with each other.
+    /// At least one; that of a suite without experiments has no title.
+    pub experiments: Vec<Experiment>,
+    /// What is compared with each other, in the order of the experiments. Two experiments may have the same.
     pub groups: Vec<Group>,
     /// In the order of the groups.
     pub configurations: Vec<Configuration>,
 }
 
-/// A light of a scene at one image size: what techniques are compared on.
+/// Groups that answer one question.
+#[derive(Debug)]
+pub struct Experiment {
+    /// What it shows; empty where the suite has no experiments.
+    pub title: String,
+    /// What a paper says about it; may be empty.
+    pub paper: String,
+    /// What others' times are told against.
+    pub baseline: Option<Setting>,
+    /// What it is drawn against.
+    pub x: Option<Sweep>,
+    /// Indices into [`Plan::groups`].
+    pub groups: Range<usize>,
+}
+
+/// A technique in one setting.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Setting {
+    /// For people.
+    pub name: String,
+    /// The technique.
+    pub technique: &'static str,
+    /// All parameters in force.
+    pub parameters: Value,
+}
+
+/// What varies in an experiment.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Sweep {
+    /// A parameter of a technique.
+    Parameter(String),
+    /// A parameter of the procedural scenes.
+    Scene(String),
+}
+
+/// The frames of a sequence.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Frames {
+    /// At least one, ascending.
+    pub numbers: Vec<u32>,
+    /// Frames a second: number `n` is at `n / fps` seconds.
+    pub fps: f64,
+    /// Those that the report shows.
+    pub shown: Vec<u32>,
+    animation: Option<String>,
+}
+
+/// A light of a scene at one image size, or in a sequence: what techniques are compared on.
 #[derive(Debug)]
 pub struct Group {
     /// Hash of all that its answer depends on.
@@ -211,6 +306,8 @@ pub struct Group {
     pub light: LightRecord,
     /// Width and height, pixels.
     pub size: [u32; 2],
+    /// Those of a sequence; none of a single image.
+    pub frames: Option<Frames>,
     options: SceneOptions,
     wanted: Wanted,
     index: usize,
@@ -231,6 +328,8 @@ pub struct Configuration {
     pub key: String,
     /// Index into [`Plan::groups`].
     pub group: usize,
+    /// Titles of the experiments that ask for it.
+    pub experiments: Vec<String>,
     /// The technique.
     pub entry: &'static Entry,
     /// The preset that it starts from.
@@ -248,14 +347,16 @@ pub struct Configuration {
 impl Configuration {
     /// Its settings for people; the preset's name where nothing is set.
     pub fn label(&self) -> String {
-        label(&self.preset, &self.settings)
+        label(self.entry.name, &self.preset, &self.settings)
     }
 }
 
-/// Settings for people; the preset's name where nothing is set.
-pub fn label(preset: &str, settings: &Parameters) -> String {
+/// Settings for people: the preset's name, and what is set over it.
+pub fn label(technique: &str, preset: &str, settings: &Parameters) -> String {
     let shown = |value: &Value| value.as_str().map_or_else(|| value.to_string(), str::to_owned);
-    let set: Vec<String> = settings.iter().map(|(key, value)| format!("{key}={}", shown(value))).collect();
+    let preset_settings = Entry::find(technique).and_then(|entry| entry.preset(preset)).unwrap_or_default();
+    let over = settings.iter().filter(|(key, value)| preset_settings.get(*key) != Some(*value));
+    let set: Vec<String> = over.map(|(key, value)| format!("{key}={}", shown(value))).collect();
     match (preset, set.is_empty()) {
         (_, true) => preset.to_owned(),
         (BEST | DEMO, false) => set.join(" "),
@@ -264,12 +365,28 @@ pub fn label(preset: &str, settings: &Parameters) -> String {
 }
 
 impl Group {
-    /// Its scene with its light alone, and the camera.
+    /// Its scene with its light alone, and the camera: of a sequence, in the first frame.
     ///
     /// # Errors
     /// What is wrong with the scene or the options.
     pub fn load(&self) -> Result<LoadedScene> {
-        let mut loaded = load(&self.options, self.wanted)?;
+        self.posed(&self.poses()?, 0)
+    }
+
+    /// Its scene at any frame.
+    ///
+    /// # Errors
+    /// What is wrong with the scene or the options.
+    pub fn poses(&self) -> Result<Poses<'_>> {
+        Poses::new(&self.options, self.wanted, self.frames.as_ref())
+    }
+
+    /// The scene of a frame, by its place in the sequence, with its light alone, and the camera.
+    ///
+    /// # Errors
+    /// What is wrong with the scene in this pose.
+    pub fn posed(&self, poses: &Poses, frame: usize) -> Result<LoadedScene> {
+        let mut loaded = poses.at(frame)?;
         let light = loaded.scene.lights.swap_remove(self.index);
         loaded.scene.lights = vec![light];
         Ok(loaded)
@@ -278,21 +395,76 @@ impl Group {
     /// What it is called.
     pub fn label(&self) -> String {
         let [width, height] = self.size;
-        format!("{}, {}, {width}x{height}", self.scene, self.light.name)
+        let frames = self.frames.as_ref().map_or_else(String::new, Frames::label);
+        format!("{}, {}, {width}x{height}{frames}", self.scene, self.light.name)
+    }
+
+    /// The value of a parameter in the name of its procedural scene.
+    pub fn scene_value(&self, parameter: &str) -> Option<f64> {
+        scene_value(&self.source, parameter)
     }
 }
 
-fn load(options: &SceneOptions, wanted: Wanted) -> Result<LoadedScene> {
-    let mut loaded = options.load(LoadOptions { base_color_textures: false })?;
-    let lights = &mut loaded.scene.lights;
-    if let Wanted::Last(count) = wanted {
-        lights.drain(..lights.len() - count);
+impl Frames {
+    fn label(&self) -> String {
+        match self.numbers[..] {
+            [only] => format!(", frame {only}"),
+            _ => format!(", frames {} to {}", self.numbers[0], self.numbers[self.numbers.len() - 1]),
+        }
     }
-    if lights.is_empty() {
-        return Err(crate::render::no_light(&loaded.scene));
+
+    /// When a frame is, s, by its place.
+    pub fn seconds(&self, frame: usize) -> f64 {
+        f64::from(self.numbers[frame]) / self.fps
     }
-    Ok(loaded)
 }
+
+fn scene_value(source: &str, parameter: &str) -> Option<f64> {
+    let (_, query) = source.strip_prefix("procedural:")?.split_once('?')?;
+    let pairs = query.split('&').filter_map(|pair| pair.split_once('='));
+    pairs.into_iter().find(|(key, _)| *key == parameter)?.1.parse().ok()
+}
+
+/// A group's scene at the times of its frames; a single image is a frame too.
+#[derive(Debug)]
+pub struct Poses<'a> {
+    options: &'a SceneOptions,
+    wanted: Wanted,
+    moving: Option<(Sequence<'a>, &'a Frames)>,
+}
+
+impl<'a> Poses<'a> {
+    fn new(options: &'a SceneOptions, wanted: Wanted, frames: Option<&'a Frames>) -> Result<Self> {
+        let moving = frames
+            .map(|frames| Ok::<_, Error>((options.load_sequence(LOAD, frames.animation.as_deref())?, frames)))
+            .transpose()?;
+        Ok(Self { options, wanted, moving })
+    }
+
+    /// How many frames there are.
+    pub fn count(&self) -> usize {
+        self.moving.as_ref().map_or(1, |(_, frames)| frames.numbers.len())
+    }
+
+    /// The scene of a frame, by its place, with all lights that are wanted.
+    fn at(&self, frame: usize) -> Result<LoadedScene> {
+        let mut loaded = match &self.moving {
+            None => self.options.load(LOAD)?,
+            Some((sequence, frames)) => sequence.at(frames.seconds(frame))?,
+        };
+        let lights = &mut loaded.scene.lights;
+        if let Wanted::Last(count) = self.wanted {
+            lights.drain(..lights.len() - count);
+        }
+        if lights.is_empty() {
+            return Err(crate::render::no_light(&loaded.scene));
+        }
+        Ok(loaded)
+    }
+}
+
+/// Visibility needs no colours.
+const LOAD: LoadOptions = LoadOptions { base_color_textures: false };
 
 /// A suite's text, for messages that name the line.
 struct Source<'a> {
@@ -313,11 +485,12 @@ impl Source<'_> {
 }
 
 impl Plan {
-    /// Reads a suite and checks all of it: every scene is loaded, every technique made.
+    /// Reads a suite and checks all of it: every scene is loaded, every technique made. With `only`, of a suite's experiments
+    /// those whose titles hold one of these texts.
     ///
     /// # Errors
     /// One line that names the place in the file; [`Error::Cancelled`].
-    pub fn read(path: &Path, machine: &Machine, progress: &Progress) -> Result<Self> {
+    pub fn read(path: &Path, only: &[String], machine: &Machine, progress: &Progress) -> Result<Self> {
         let built_in = BUILT_IN.iter().find(|(name, _)| Path::new(name) == path && !path.exists());
         let text = match built_in {
             Some((_, text)) => (*text).to_owned(),
@@ -326,47 +499,70 @@ impl Plan {
         let source = Source { path, text: &text };
         let suite: Suite =
             toml::from_str(&text).map_err(|error| source.error(error.span().unwrap_or(0..0), error.message()))?;
-        for (what, is_empty) in [
-            ("sizes", suite.sizes.is_empty()),
-            ("scenes", suite.scenes.is_empty()),
-            ("techniques", suite.techniques.is_empty()),
-        ] {
-            if is_empty {
-                return Err(source.error(0..0, format!("{what} is empty; expected at least one")));
-            }
-        }
         let timing = suite.timing.as_ref().map_or_else(Timing::default, |timing| *timing.get_ref());
         if timing.runs < LEAST_RUNS || !(timing.seconds >= 0.0 && timing.seconds.is_finite()) {
             let message = format!("timing: expected runs of at least {LEAST_RUNS} and seconds of 0 or more");
             return Err(source.error(suite.timing.map_or(0..0, |timing| timing.span()), message));
         }
-        let techniques = techniques(&suite.techniques, &source, progress)?;
-        let mut groups: Vec<Group> = Vec::new();
+        let about = suite.about.clone();
+        let asked = only_of(suite.into_experiments(&source)?, only)?;
+        let name = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+        let mut plan =
+            Self { name, about, timing, experiments: Vec::new(), groups: Vec::new(), configurations: Vec::new() };
+        for entry in asked {
+            plan.add(entry, &source, built_in.is_some(), machine, progress)?;
+        }
+        plan.name_experiments();
+        Ok(plan)
+    }
+
+    /// Multiplies an experiment out.
+    fn add(
+        &mut self,
+        entry: ExperimentEntry,
+        source: &Source,
+        built_in: bool,
+        machine: &Machine,
+        progress: &Progress,
+    ) -> Result<()> {
+        let mut techniques = techniques(&entry.techniques, source, progress)?;
+        let baseline = entry.baseline.as_ref().map(|baseline| Made::only(baseline, source, progress)).transpose()?;
+        let baseline = baseline.map(|made| {
+            let setting = made.setting();
+            techniques.push(made);
+            setting
+        });
+        let sizes = entry.sizes.as_deref().unwrap_or_default();
+        let first = self.groups.len();
         let mut names = BTreeSet::new();
-        for entry in &suite.scenes {
-            let name = entry.name.clone().unwrap_or_else(|| default_name(entry.scene.get_ref()));
+        for scene in &entry.scenes {
+            let name = scene.name.clone().unwrap_or_else(|| default_name(scene.scene.get_ref()));
             if !names.insert(name.clone()) {
                 let message = format!("two scenes are called {name:?}; give one another `name`");
-                return Err(source.error(entry.scene.span(), message));
+                return Err(source.error(scene.scene.span(), message));
             }
-            for (options, wanted, light_name) in entry.variants(path, built_in.is_some(), &suite.sizes, &source)? {
+            let frames = scene.frames(source)?;
+            let frame_count = frames.as_ref().map_or(0, |frames| frames.numbers.len());
+            for (options, wanted, light_name) in scene.variants(built_in, sizes, source)? {
                 progress.check()?;
-                let found = entry.groups(&name, &options, wanted, light_name.as_deref());
+                // Before all its poses are looked at.
+                self.check_size(first, frame_count, techniques.len())
+                    .map_err(|message| source.error(scene.scene.span(), message))?;
+                let found = scene.groups(&name, &options, wanted, frames.as_ref(), light_name.as_deref(), progress);
                 // Sweeps may meet.
-                for group in found.map_err(source.wrap(entry.scene.span()))? {
-                    if !groups.iter().any(|other| other.key == group.key) {
-                        groups.push(group);
+                for group in found.map_err(source.wrap(scene.scene.span()))? {
+                    if !self.groups[first..].iter().any(|other| other.key == group.key) {
+                        self.groups.push(group);
                     }
                 }
-                if groups.len() * techniques.len() > MAX_CONFIGURATIONS {
-                    let message = format!("more than {MAX_CONFIGURATIONS} configurations; make it several suites");
-                    return Err(source.error(entry.scene.span(), message));
-                }
+                self.check_size(first, 0, techniques.len())
+                    .map_err(|message| source.error(scene.scene.span(), message))?;
             }
         }
-        let mut configurations = Vec::new();
+        let groups = first..self.groups.len();
         let mut keys = BTreeSet::new();
-        for (group_index, group) in groups.iter().enumerate() {
+        for group_index in groups.clone() {
+            let group = &self.groups[group_index];
             for technique in &techniques {
                 let adapter = technique.adapter.as_ref().map(|adapter| &adapter.name);
                 let header = format!(
@@ -376,13 +572,131 @@ impl Plan {
                 let key = short_key(&mut Hasher::new().update(header.as_bytes()).clone());
                 // So may presets and sweeps.
                 if keys.insert(key.clone()) {
-                    configurations.push(technique.in_group(key, group_index));
+                    self.configurations.push(technique.in_group(key, group_index));
                 }
             }
         }
-        let name = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
-        Ok(Self { name, about: suite.about, timing, groups, configurations })
+        let x = entry.x.as_ref().map(|x| sweep(x, &techniques, &self.groups[groups.clone()], source)).transpose()?;
+        self.experiments.push(Experiment {
+            title: entry.title.into_inner(),
+            paper: entry.paper.trim().to_owned(),
+            baseline,
+            x,
+            groups,
+        });
+        Ok(())
     }
+
+    /// Refuses what can't be measured within reason: with the experiment that begins at group `first`, and `more` frames in it.
+    fn check_size(&self, first: usize, more: usize, techniques: usize) -> Result<(), String> {
+        let frames_of = |group: &Group| group.frames.as_ref().map_or(0, |frames| frames.numbers.len());
+        let planned: usize = self.configurations.iter().map(|planned| frames_of(&self.groups[planned.group])).sum();
+        let groups = &self.groups[first..];
+        if planned + (groups.iter().map(frames_of).sum::<usize>() + more) * techniques > MAX_FRAMES {
+            return Err(format!("more than {MAX_FRAMES} frames; make it several suites"));
+        }
+        if self.configurations.len() + groups.len() * techniques > MAX_CONFIGURATIONS {
+            return Err(format!("more than {MAX_CONFIGURATIONS} configurations; make it several suites"));
+        }
+        Ok(())
+    }
+
+    /// Tells each configuration all experiments that ask for it.
+    fn name_experiments(&mut self) {
+        let mut titles: BTreeMap<String, Vec<String>> = BTreeMap::new();
+        for configuration in &self.configurations {
+            let asks = self.experiments.iter().find(|experiment| experiment.groups.contains(&configuration.group));
+            let title = &asks.expect("every group has one").title;
+            let titles = titles.entry(configuration.key.clone()).or_default();
+            if !title.is_empty() && !titles.contains(title) {
+                titles.push(title.clone());
+            }
+        }
+        for configuration in &mut self.configurations {
+            configuration.experiments.clone_from(&titles[&configuration.key]);
+        }
+    }
+}
+
+impl Suite {
+    /// Its experiments, or its scenes and techniques as one without title.
+    fn into_experiments(self, source: &Source) -> Result<Vec<ExperimentEntry>> {
+        let Self { sizes, scenes, techniques, experiments, .. } = self;
+        if experiments.is_empty() {
+            for (what, is_empty) in
+                [("sizes", sizes.is_empty()), ("scenes", scenes.is_empty()), ("techniques", techniques.is_empty())]
+            {
+                if is_empty {
+                    return Err(source.error(0..0, format!("{what} is empty; expected at least one")));
+                }
+            }
+            let title = Spanned::new(0..0, String::new());
+            let sizes = Some(sizes);
+            let (paper, baseline, x) = (String::new(), None, None);
+            return Ok(vec![ExperimentEntry { title, paper, sizes, scenes, techniques, baseline, x }]);
+        }
+        if !(scenes.is_empty() && techniques.is_empty()) {
+            let message = "a suite with `experiments` has its scenes and techniques in them; expected none beside them";
+            let span = scenes.first().map(|scene| &scene.scene).or(techniques.first().map(|entry| &entry.technique));
+            return Err(source.error(span.map_or(0..0, Spanned::span), message));
+        }
+        let mut titles = BTreeSet::new();
+        let mut experiments = experiments;
+        for experiment in &mut experiments {
+            let span = experiment.title.span();
+            let title = experiment.title.get_ref();
+            if title.trim().is_empty() || !titles.insert(title.clone()) {
+                return Err(source.error(span, "expected a title that no other experiment has"));
+            }
+            let sizes = experiment.sizes.get_or_insert_with(|| sizes.clone());
+            let has_sizes = !sizes.is_empty() || experiment.scenes.iter().all(|scene| scene.sizes.is_some());
+            for (what, is_empty) in [
+                ("sizes", !has_sizes),
+                ("scenes", experiment.scenes.is_empty()),
+                ("techniques", experiment.techniques.is_empty()),
+            ] {
+                if is_empty {
+                    return Err(source.error(span, format!("{what} is empty; expected at least one")));
+                }
+            }
+        }
+        Ok(experiments)
+    }
+}
+
+/// The experiments whose titles hold one of some texts, in any case; all without a text.
+fn only_of(experiments: Vec<ExperimentEntry>, only: &[String]) -> Result<Vec<ExperimentEntry>> {
+    let holds = |experiment: &ExperimentEntry, part: &String| {
+        experiment.title.get_ref().to_lowercase().contains(&part.to_lowercase())
+    };
+    for part in only {
+        if !experiments.iter().any(|experiment| holds(experiment, part)) {
+            let titles: Vec<&str> = experiments.iter().map(|experiment| experiment.title.get_ref().as_str()).collect();
+            let there =
+                if titles == [""] { "the suite has none".into() } else { format!("there is {}", titles.join("; ")) };
+            return Err(Error::usage(
+                format!("--only {part}"),
+                format!("no experiment has this in its title; {there}"),
+            ));
+        }
+    }
+    let wanted = |experiment: &ExperimentEntry| only.is_empty() || only.iter().any(|part| holds(experiment, part));
+    Ok(experiments.into_iter().filter(wanted).collect())
+}
+
+/// What an experiment is drawn against.
+fn sweep(x: &Spanned<String>, techniques: &[Made], groups: &[Group], source: &Source) -> Result<Sweep> {
+    let name = x.get_ref();
+    if techniques.iter().any(|technique| technique.parameters[name.as_str()].is_number()) {
+        return Ok(Sweep::Parameter(name.clone()));
+    }
+    if groups.iter().any(|group| group.scene_value(name).is_some()) {
+        return Ok(Sweep::Scene(name.clone()));
+    }
+    Err(source.error(
+        x.span(),
+        "x: expected a parameter that is a number, of a technique or in the name of a procedural scene",
+    ))
 }
 
 fn read(path: &Path) -> Result<String> {
@@ -412,7 +726,6 @@ impl SceneEntry {
     /// The options of each light of the sweep at each size, with the light's name in the results.
     fn variants(
         &self,
-        suite: &Path,
         built_in: bool,
         sizes: &[Size],
         source: &Source,
@@ -436,7 +749,13 @@ impl SceneEntry {
         let scene = if written.starts_with("procedural:") || built_in {
             written.clone()
         } else {
-            suite.parent().map_or_else(PathBuf::new, Path::to_path_buf).join(written).to_string_lossy().into_owned()
+            source
+                .path
+                .parent()
+                .map_or_else(PathBuf::new, Path::to_path_buf)
+                .join(written)
+                .to_string_lossy()
+                .into_owned()
         };
         let mut variants = Vec::new();
         for light in lights {
@@ -457,22 +776,56 @@ impl SceneEntry {
         Ok(variants)
     }
 
+    /// The frames that are asked for.
+    fn frames(&self, source: &Source) -> Result<Option<Frames>> {
+        let Some(frames) = &self.frames else {
+            if self.fps.is_some() || self.animation.is_some() || !self.show.is_empty() {
+                let message = "`fps`, `animation` and `show` are for a scene with `frames`";
+                return Err(source.error(self.scene.span(), message));
+            }
+            return Ok(None);
+        };
+        let failed = |message: String| source.error(frames.span(), message);
+        let numbers: Vec<u32> =
+            parse_frames(frames.get_ref()).map_err(|message| failed(format!("frames: {message}")))?.numbers().collect();
+        let fps = self.fps.map_or(Ok(FPS), |fps| parse_fps(&fps.to_string()));
+        let fps = fps.map_err(|message| failed(format!("fps: {message}")))?;
+        if let Some(missing) = self.show.iter().find(|number| !numbers.contains(number)) {
+            return Err(failed(format!("show: {missing} is not one of the frames")));
+        }
+        let shown = if self.show.is_empty() { numbers[numbers.len() - 1..].to_vec() } else { self.show.clone() };
+        Ok(Some(Frames { numbers, fps, shown, animation: self.animation.clone() }))
+    }
+
     /// A group for each light that the options leave.
-    fn groups(&self, name: &str, options: &SceneOptions, wanted: Wanted, sweep: Option<&str>) -> Result<Vec<Group>> {
-        let loaded = load(options, wanted)?;
-        let LoadedScene { scene, camera, .. } = &loaded;
+    fn groups(
+        &self,
+        name: &str,
+        options: &SceneOptions,
+        wanted: Wanted,
+        frames: Option<&Frames>,
+        sweep: Option<&str>,
+        progress: &Progress,
+    ) -> Result<Vec<Group>> {
+        let poses = Poses::new(options, wanted, frames)?;
+        let loaded = poses.at(0)?;
+        let scene = &loaded.scene;
+        let mut hashers = vec![Hasher::new(); scene.lights.len()];
+        hash_pose(&mut hashers, &loaded, options.size);
+        for frame in 1..poses.count() {
+            progress.check()?;
+            hash_pose(&mut hashers, &poses.at(frame)?, options.size);
+        }
         let single = scene.lights.len() == 1;
-        let groups = scene.lights.iter().enumerate().map(|(index, light)| {
+        let groups = scene.lights.iter().zip(hashers).enumerate().map(|(index, (light, mut hasher))| {
             let light_name = match sweep {
                 None => light.name.clone(),
                 Some(sweep) if single => sweep.to_owned(),
                 Some(sweep) => format!("{sweep}/{}", light.name),
             };
-            let linking = Linking::of(scene, light);
-            let mut hasher = Hasher::new();
-            let version = env!("CARGO_PKG_VERSION");
-            hasher.update(format!("{version} {:?} {camera:?} {light:?} {linking:?}", options.size).as_bytes());
-            hash_scene(&mut hasher, scene);
+            if let Some(frames) = frames {
+                hasher.update(format!("{frames:?}").as_bytes());
+            }
             Group {
                 key: short_key(&mut hasher),
                 scene: name.to_owned(),
@@ -485,12 +838,24 @@ impl SceneEntry {
                     extent: extent(scene, index),
                 },
                 size: options.size,
+                frames: frames.cloned(),
                 options: options.clone(),
                 wanted,
                 index,
             }
         });
         Ok(groups.collect())
+    }
+}
+
+/// Adds all that the answers of each light depend on.
+fn hash_pose(hashers: &mut [Hasher], loaded: &LoadedScene, size: [u32; 2]) {
+    let LoadedScene { scene, camera, .. } = loaded;
+    for (hasher, light) in hashers.iter_mut().zip(&scene.lights) {
+        let linking = Linking::of(scene, light);
+        let version = env!("CARGO_PKG_VERSION");
+        hasher.update(format!("{version} {size:?} {camera:?} {light:?} {linking:?}").as_bytes());
+        hash_scene(hasher, scene);
     }
 }
 
@@ -513,10 +878,28 @@ struct Made {
 }
 
 impl Made {
+    /// What comes of an entry that stands for one setting.
+    fn only(entry: &TechniqueEntry, source: &Source, progress: &Progress) -> Result<Self> {
+        let mut made = techniques(std::slice::from_ref(entry), source, progress)?;
+        match (made.pop(), made.len()) {
+            (Some(only), 0) => Ok(only),
+            (_, more) => {
+                let message = format!("baseline: expected one setting, found {}", more + 1);
+                Err(source.error(entry.technique.span(), message))
+            }
+        }
+    }
+
+    fn setting(&self) -> Setting {
+        let name = format!("{} {}", self.entry.name, label(self.entry.name, &self.preset, &self.settings));
+        Setting { name, technique: self.entry.name, parameters: self.parameters.clone() }
+    }
+
     fn in_group(&self, key: String, group: usize) -> Configuration {
         Configuration {
             key,
             group,
+            experiments: Vec::new(),
             entry: self.entry,
             preset: self.preset.clone(),
             settings: self.settings.clone(),

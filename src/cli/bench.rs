@@ -14,13 +14,16 @@ use crate::progress::Progress;
 #[derive(Debug, Args)]
 #[command(after_help = HELP)]
 pub struct Arguments {
-    /// Suite: a TOML file, or the name of one that is built in: quick, scaling
+    /// Suite: a TOML file, or the name of one that is built in: quick, scaling, papers
     #[arg(value_name = "SUITE.toml")]
     suite: PathBuf,
     /// Directory for results.json, results.csv and report.html, made if it is not there. What it holds already is not measured
     /// again
     #[arg(short, long, value_name = "DIR")]
     output: PathBuf,
+    /// Runs only the experiments with TEXT in their titles, in any case; repeatable
+    #[arg(long, value_name = "TEXT")]
+    only: Vec<String>,
     /// Keeps exact references in this directory rather than in DIR/cache
     #[arg(long, value_name = "DIR")]
     cache: Option<PathBuf>,
@@ -30,6 +33,7 @@ const HELP: &str = "\
 Built-in suites:
   quick      every technique on small scenes, at two sizes: less than two minutes on two cores
   scaling    time and error against triangles, samples, image size and size of the light
+  papers     what the papers report, measured anew beside their own words (hours on a software GPU; see --only)
 
 A suite multiplies out scenes, lights, image sizes, techniques and their settings:
   sizes = [\"320x240\", \"640x480\"]
@@ -46,6 +50,9 @@ A suite multiplies out scenes, lights, image sizes, techniques and their setting
   technique = \"rays\"                  # or \"all\"
   preset = \"best\"                     # or a paper's, a list of them, \"all\"
   set = { samples = [4, 16, 64], pattern = [\"sobol\", \"grid\"] }
+
+A scene with frames = \"0-47\" is a sequence. [[experiments]] have scenes and techniques of their own,
+what a paper says about them, and a section of the report each; --only runs some of them.
 
 Each configuration is judged against the exact reference, and timed in turn with `rays` at 64
 samples: on a machine that does other work too, read the ratios. Ctrl-C keeps what is done; the
@@ -65,7 +72,8 @@ pub fn run(arguments: &Arguments, progress: &Progress) -> anyhow::Result<()> {
         Event::Finished => bar.inc(1),
         Event::Warning(warning) => bar.suspend(|| print_warnings(&[warning])),
     };
-    let result = bench::run(&arguments.suite, &arguments.output, arguments.cache.as_deref(), progress, &mut watch);
+    let Arguments { suite, output, only, cache } = arguments;
+    let result = bench::run(suite, only, output, cache.as_deref(), progress, &mut watch);
     bar.finish_and_clear();
     let summary = result?;
     print_warnings(&refusals(&summary));

@@ -43,6 +43,13 @@ pub struct Frames {
     step: u32,
 }
 
+impl Frames {
+    /// Their numbers, ascending.
+    pub fn numbers(&self) -> std::iter::StepBy<std::ops::RangeInclusive<u32>> {
+        (self.first..=self.last).step_by(self.step as usize)
+    }
+}
+
 /// One of them.
 #[derive(Debug, Clone)]
 pub struct Frame {
@@ -60,7 +67,8 @@ const MAX_FRAMES: u32 = 100_000;
 /// The highest frame number: its digits fit any file name.
 const MAX_FRAME: u32 = 999_999_999;
 
-fn parse_frames(text: &str) -> Result<Frames, String> {
+/// Reads the value of `--frames`.
+pub fn parse_frames(text: &str) -> Result<Frames, String> {
     let number =
         |digits: &str| digits.bytes().all(|b| b.is_ascii_digit()).then(|| digits.parse::<u32>().ok()).flatten();
     let (range, step) = text.split_once(':').unwrap_or((text, "1"));
@@ -80,7 +88,8 @@ fn parse_frames(text: &str) -> Result<Frames, String> {
     Ok(Frames { first, last, step })
 }
 
-fn parse_fps(text: &str) -> Result<f64, String> {
+/// Reads the value of `--fps`.
+pub fn parse_fps(text: &str) -> Result<f64, String> {
     match text.parse() {
         Ok(fps) if (1e-3..=1e6).contains(&fps) => Ok(fps),
         _ => Err("expected a number from 0.001 to 1000000".into()),
@@ -92,7 +101,7 @@ impl FrameOptions {
     pub fn plan(&self, output: &Path) -> Result<Option<Vec<Frame>>> {
         let Some(frames) = self.frames else { return Ok(None) };
         let pattern = Pattern::of(output)?;
-        let numbers = (frames.first..=frames.last).step_by(frames.step as usize);
+        let numbers = frames.numbers();
         if pattern.is_none() && numbers.clone().nth(1).is_some() {
             let message = "one file can't hold several frames; expected a pattern such as out.####.exr";
             return Err(Error::usage(format!("-o {}", output.display()), message));
@@ -130,6 +139,7 @@ impl Job<'_> {
         let sequence = options.load_sequence(image.load_options(), self.options.animation.as_deref())?;
         let request = Request { verify, ..image.request(options.size) };
         let mut told: HashSet<String> = HashSet::new();
+        let mut drawn = render::Sequence::new(technique);
         for (index, frame) in frames.iter().enumerate() {
             progress.check()?;
             let mut loaded = sequence.at(frame.seconds)?;
@@ -140,8 +150,7 @@ impl Job<'_> {
             let news: Vec<String> = scene.warnings.iter().filter(is_new).cloned().collect();
             print_warnings(&news);
             let label = format!("frame {}/{}", index + 1, frames.len());
-            let rendering =
-                with_bar(&label, progress, || render::render(scene, camera, technique, &request, progress))?;
+            let rendering = with_bar(&label, progress, || drawn.frame(scene, camera, &request, progress))?;
             let origin = Origin { technique: self.name, parameters: technique.parameters() };
             finish_frame(image, scene, rendering, origin, Some(frame), start, load_ms)?;
             start = Instant::now();

@@ -3,7 +3,7 @@
 mod bench;
 mod compare;
 mod demo;
-mod frames;
+pub(crate) mod frames;
 mod info;
 mod list;
 mod reference;

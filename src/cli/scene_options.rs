@@ -286,7 +286,7 @@ pub fn load_scene(name: &str, options: LoadOptions) -> Result<Scene> {
 pub fn load_animated(name: &str, options: LoadOptions) -> Result<Animated> {
     match file_of(name)? {
         Some(path) => gltf::load_animated(path, options),
-        None => procedural::load(name).map(Animated::still),
+        None => procedural::load_animated(name),
     }
 }
 

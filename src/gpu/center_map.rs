@@ -13,7 +13,7 @@ use crate::scene::{AreaLight, Bounds};
 use crate::techniques::{Frame, LightImage};
 
 gpu_struct! {
-    /// Twin of `Emitter` in `techniques/pcss.wgsl`.
+    /// Twin of `Emitter` in `lib/emitter.wgsl`.
     struct Emitter {
         pub center: Vec3,
         pub domain: u32,
@@ -105,8 +105,8 @@ pub fn render(gpu: &Gpu, frame: &Frame, light: &AreaLight, settings: &Settings) 
     })
 }
 
-/// Boxes around all places between receivers and the light where kernels may lie.
-fn kernels(view: &LightView, nearest: f64) -> Vec<Bounds> {
+/// Boxes around all places between receivers and the light where kernels may lie, as [`Settings::nearest`] bounds them.
+pub fn kernels(view: &LightView, nearest: f64) -> Vec<Bounds> {
     let emitter = &view.emitter;
     let spread = emitter.half_u.abs() + emitter.half_v.abs();
     let casters = view.caster_bounds.union(view.receiver_bounds);
@@ -142,7 +142,8 @@ fn nearest_along(view: &LightView) -> f64 {
     view.caster_bounds.corners().map(|corner| view.emitter.normal.dot(corner)).into_iter().fold(f64::INFINITY, f64::min)
 }
 
-fn emitter_of(view: &LightView) -> Emitter {
+/// A light's emitter as shaders read it.
+pub fn emitter_of(view: &LightView) -> impl bytemuck::Pod {
     let emitter = &view.emitter;
     Emitter {
         center: emitter.center.as_vec3(),

@@ -44,7 +44,7 @@ fn pipelines(gpu: &Gpu) -> ScenePipelines {
     ScenePipelines::new(gpu, "passes/gbuffer.wgsl", targets)
 }
 
-/// The receivers of an image, and the times of the passes; `offset_px` as of [`Receivers::find`].
+/// The receivers of an image and of a border around it, and the times of the passes; `offset_px` as of [`Receivers::find`].
 ///
 /// # Errors
 /// [`crate::Error::Gpu`] where the image does not fit.
@@ -52,10 +52,15 @@ pub fn receivers(
     gpu: &Gpu,
     (scene, buffers, bvh): (&Scene, &SceneBuffers, &SceneBvh),
     camera: &Camera,
-    size: [u32; 2],
+    (size, border): ([u32; 2], [u32; 2]),
     offset_px: DVec2,
 ) -> Result<(Receivers, Vec<Pass>)> {
+    let inner_size = size;
+    let size = [0, 1].map(|i| size[i] + 2 * border[i]);
     let [width, height] = size;
+    // The image with its border, as a camera of a wider view sees it.
+    let inner_camera = camera;
+    let camera = &camera.widened(inner_size, border);
     let usage = wgpu::TextureUsages::RENDER_ATTACHMENT;
     let ids = gpu.texture("G-buffer", [width, height, 1], IDS, usage | wgpu::TextureUsages::COPY_SRC)?;
     let depth = gpu.texture("G-buffer's depth", [width, height, 1], DEPTH, usage)?;
@@ -99,8 +104,10 @@ pub fn receivers(
         let (x, y) = (index % width as usize, index / width as usize);
         let at = y * row_words + 2 * x;
         let (instance, triangle) = (words[at].checked_sub(1)?, words[at + 1].checked_sub(1)?);
-        let ray = camera.ray(DVec2::new(x as f64, y as f64) + offset_px, size);
-        receiver_on(bvh, camera, ray, instance, triangle)
+        // The ray of the image alone: to the bit what it is without a border.
+        let at_px = DVec2::new(x as f64 - f64::from(border[0]), y as f64 - f64::from(border[1]));
+        let ray = inner_camera.ray(at_px + offset_px, inner_size);
+        receiver_on(bvh, inner_camera, ray, instance, triangle)
     };
     let pixels: Vec<Option<Receiver>> =
         (0..width as usize * height as usize).into_par_iter().with_min_len(1024).map(pixel).collect();

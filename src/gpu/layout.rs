@@ -42,6 +42,7 @@ wgsl_names! {
     u32 => "u32",
     i32 => "i32",
     [u32; 2] => "vec2<u32>",
+    [u32; 4] => "vec4<u32>",
     glam::Vec2 => "vec2<f32>",
     glam::Vec3 => "vec3<f32>",
     glam::Vec4 => "vec4<f32>",

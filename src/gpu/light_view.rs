@@ -1,5 +1,7 @@
 //! A light and the receivers that it faces, as shadow maps see them: in one frame around the light, in `f32`.
 
+use std::ops::Range;
+
 use glam::{DVec2, DVec3, Vec3};
 use rayon::prelude::*;
 
@@ -17,18 +19,24 @@ use crate::techniques::{Frame, LightImage, Linking};
 
 gpu_struct! {
     /// Twin of `Receiver` in `lib/shadow_map.wgsl`.
-    struct GpuReceiver as Receiver {
+    pub struct GpuReceiver as Receiver {
+        /// On the GPU's scale.
         pub position: Vec3,
+        /// Of its pixel.
         pub number: u32,
+        /// Geometric.
         pub normal: Vec3,
-        pub padding: u32,
+        /// What it lies on.
+        pub instance: u32,
+        /// Interpolated.
         pub shading_normal: Vec3,
+        /// None.
         pub padding_2: u32,
     }
 }
 
 /// Sides of the tiles of pixels whose receivers are bounded together, pixels.
-const TILE: u32 = 16;
+pub const TILE: u32 = 16;
 
 /// A light with all that its maps need.
 #[derive(Debug)]
@@ -40,29 +48,53 @@ pub struct LightView<'a> {
     /// The surface that stands for the light, as it faces the middle of the receivers; on the GPU's scale and relative to its
     /// origin.
     pub emitter: Emitter,
-    /// Of positions on the GPU: from the middle of the receivers, in units in which nothing is far beyond 1.
+    /// Where positions on the GPU lie in the scene.
     pub space: DrawSpace,
-    /// What can lie between, relative to `origin`.
+    /// What can lie between. Positions on the GPU are relative to the middle of the receivers, in units in which nothing is far
+    /// beyond 1.
     pub casters: DrawList,
     /// Bounds of what can lie between, on the GPU.
     pub caster_bounds: Bounds,
     /// Bounds of the receivers, on the GPU.
     pub receiver_bounds: Bounds,
-    /// Bounds of receivers by tile, on the GPU.
+    /// Bounds of receivers by tile, on the GPU; of those tiles that hold some.
     pub tiles: Vec<Bounds>,
+    /// The number of each of these tiles, row by row.
+    pub tile_numbers: Vec<u32>,
     /// The receivers in as many buffers as the adapter's limits ask for.
     pub chunks: Vec<Chunk>,
     /// By pixel, whether the light faces its receiver.
     facing: Vec<bool>,
 }
 
-/// Some of the receivers.
+/// Some of the receivers, tile by tile.
 #[derive(Debug)]
 pub struct Chunk {
     /// Their pixels.
     pub pixels: Vec<u32>,
+    /// The tiles that they are in, by number, and which of the receivers are in each.
+    pub tiles: Vec<(u32, Range<u32>)>,
     /// Their data: `array<Receiver>`.
     pub buffer: wgpu::Buffer,
+}
+
+impl Chunk {
+    /// Those of an image `width` pixels wide, tile by tile.
+    pub fn new(pixels: Vec<u32>, width: u32, buffer: wgpu::Buffer) -> Self {
+        let mut tiles: Vec<(u32, Range<u32>)> = Vec::new();
+        for (i, &pixel) in (0..).zip(&pixels) {
+            match tiles.last_mut() {
+                Some((tile, range)) if *tile == tile_of(pixel, width) => range.end = i + 1,
+                _ => tiles.push((tile_of(pixel, width), i..i + 1)),
+            }
+        }
+        Self { pixels, tiles, buffer }
+    }
+}
+
+/// The tile that a pixel of an image is in.
+fn tile_of(pixel: u32, width: u32) -> u32 {
+    pixel / width / TILE * width.div_ceil(TILE) + pixel % width / TILE
 }
 
 /// Receivers of one workgroup in a technique's shader.
@@ -74,6 +106,14 @@ impl<'a> LightView<'a> {
     /// # Errors
     /// [`crate::Error::Gpu`] where the receivers don't fit.
     pub fn new(gpu: &'a Gpu, frame: &'a Frame, light: &AreaLight) -> Result<Option<Self>> {
+        Self::in_chunks(gpu, frame, light, size_of::<GpuReceiver>() as u64)
+    }
+
+    /// [`LightView::new`] for what keeps up to so many bytes a receiver in a buffer: no chunk has more than fit.
+    ///
+    /// # Errors
+    /// As [`LightView::new`].
+    pub fn in_chunks(gpu: &'a Gpu, frame: &'a Frame, light: &AreaLight, bytes_a_receiver: u64) -> Result<Option<Self>> {
         let buffers = frame.buffers.expect("a technique with a GPU is given the scene on it");
         let linking = Linking::of(frame.scene, light);
         let pixels = &frame.receivers.pixels;
@@ -94,34 +134,36 @@ impl<'a> LightView<'a> {
             .find_map(|position| Some((position, light.emitter(position)?)))
             .expect("the light faces the first receiver");
 
-        let shaft = Shaft::between(&receiver_bounds, &light_bounds(light, &receiver_bounds, &frame.scene.bounds()));
-        let blocks: Vec<bool> = (0..frame.scene.instances.len() as u32).map(|i| linking.blocks(i)).collect();
+        let bounds: Vec<Bounds> = (0..frame.scene.instances.len()).map(|i| frame.bvh.instance_bounds(i)).collect();
+        let scene_bounds = bounds.iter().copied().fold(Bounds::EMPTY, Bounds::union);
+        let shaft = Shaft::between(&receiver_bounds, &light_bounds(light, &receiver_bounds, &scene_bounds));
+        let blocks: Vec<bool> = (0..bounds.len() as u32).map(|i| linking.blocks(i)).collect();
         let is_caster = |i: usize, bounds: &Bounds| light.casts_shadow && blocks[i] && !shaft.excludes(bounds);
-        let caster_bounds = (0..blocks.len())
-            .map(|i| (i, frame.bvh.instance_bounds(i)))
-            .filter(|(i, bounds)| is_caster(*i, bounds))
-            .fold(Bounds::EMPTY, |all, (_, bounds)| all.union(bounds));
+        let caster_bounds =
+            (0..bounds.len()).filter(|&i| is_caster(i, &bounds[i])).fold(Bounds::EMPTY, |all, i| all.union(bounds[i]));
         let corners = caster_bounds.union(receiver_bounds).corners();
         let reach = corners.iter().map(|&corner| (corner - origin).abs().max_element()).fold(0.0, f64::max);
         let space = DrawSpace { origin, unit: unit_above(reach) };
         let on_gpu = |position: DVec3| (position - origin) / space.unit;
         let [width, height] = frame.receivers.size;
         let columns = width.div_ceil(TILE);
-        let tile_of = |tile: u32| {
+        let bounds_of = |tile: u32| {
             let (x, y) = (tile % columns * TILE, tile / columns * TILE);
             let rows = y..(y + TILE).min(height);
             let numbers = rows.flat_map(|y| (x..(x + TILE).min(width)).map(move |x| (y * width + x) as usize));
             numbers.filter_map(lit).map(|receiver| on_gpu(receiver.position)).collect::<Bounds>()
         };
-        let tiles: Vec<Bounds> = (0..columns * height.div_ceil(TILE))
+        let (tile_numbers, tiles) = (0..columns * height.div_ceil(TILE))
             .into_par_iter()
-            .map(tile_of)
-            .filter(|bounds| !bounds.is_empty())
-            .collect();
+            .map(|tile| (tile, bounds_of(tile)))
+            .filter(|(_, bounds)| !bounds.is_empty())
+            .unzip();
 
-        let numbers: Vec<u32> = (0..pixels.len() as u32).filter(|&number| facing[number as usize]).collect();
+        // Neighbours in the image are neighbours on the GPU, and read the same texels.
+        let mut numbers: Vec<u32> = (0..pixels.len() as u32).filter(|&number| facing[number as usize]).collect();
+        numbers.par_sort_by_key(|&number| tile_of(number, width));
         let chunks = numbers
-            .chunks(most_receivers(gpu))
+            .chunks(most_receivers(gpu, bytes_a_receiver))
             .map(|numbers| {
                 let receiver = |&number: &u32| {
                     let receiver = pixels[number as usize].as_ref().expect("only hits face the light");
@@ -129,14 +171,14 @@ impl<'a> LightView<'a> {
                         position: on_gpu(receiver.position).as_vec3(),
                         number,
                         normal: receiver.normal.as_vec3(),
-                        padding: 0,
+                        instance: receiver.instance,
                         shading_normal: receiver.shading_normal.as_vec3(),
                         padding_2: 0,
                     }
                 };
                 let data: Vec<GpuReceiver> = numbers.par_iter().map(receiver).collect();
                 let buffer = gpu.buffer("receivers", &data, wgpu::BufferUsages::STORAGE)?;
-                Ok(Chunk { pixels: numbers.to_vec(), buffer })
+                Ok(Chunk::new(numbers.to_vec(), width, buffer))
             })
             .collect::<Result<_>>()?;
         let casters = buffers.draw_list(gpu, frame.scene, space, Part::Chunk, is_caster)?;
@@ -160,6 +202,7 @@ impl<'a> LightView<'a> {
             casters,
             receiver_bounds: Bounds { min: on_gpu(receiver_bounds.min), max: on_gpu(receiver_bounds.max) },
             tiles,
+            tile_numbers,
             chunks,
             facing,
         }))
@@ -213,11 +256,27 @@ impl<'a> LightView<'a> {
     }
 }
 
+/// V and E/E₀ from the weights of the points seen and of all above the horizon, and those times what the points emit towards the
+/// receiver; `whole` is the weight of all points.
+pub fn seen_of(sums: [f32; 4], whole: f64) -> (f64, f64) {
+    let [seen, seen_weight, above, weight] = sums.map(f64::from);
+    // E = E₀ where nothing above the horizon is hidden, however the weights lie; where all points miss what little of the light
+    // emits this way, the seen share of the area stands for that of the weights.
+    let share = if seen == above {
+        1.0
+    } else if weight > 0.0 {
+        seen_weight / weight
+    } else {
+        seen / above
+    };
+    ((seen / whole).min(1.0), share)
+}
+
 /// How many receivers one buffer may hold, and one dispatch may take.
-fn most_receivers(gpu: &Gpu) -> usize {
+fn most_receivers(gpu: &Gpu, bytes_a_receiver: u64) -> usize {
     let limits = gpu.device.limits();
     let bytes = limits.max_storage_buffer_binding_size.min(limits.max_buffer_size);
-    let by_memory = bytes / size_of::<GpuReceiver>() as u64;
+    let by_memory = (bytes / bytes_a_receiver.max(size_of::<GpuReceiver>() as u64)).max(1);
     let by_dispatch = u64::from(limits.max_compute_workgroups_per_dimension) * u64::from(WORKGROUP);
     by_memory.min(by_dispatch) as usize
 }

@@ -10,6 +10,7 @@ pub mod layout;
 pub mod light_view;
 pub mod pass;
 pub mod scene;
+pub mod screen;
 pub mod shader;
 pub mod shadow_map;
 
@@ -73,9 +74,8 @@ impl Adapter {
 /// Features that no technique can do without: the G-buffer's triangle numbers.
 const FEATURES: wgpu::Features = wgpu::Features::PRIMITIVE_INDEX;
 
-/// Features that are used where they are there: times of passes, and additive blending of floats.
-const OPTIONAL_FEATURES: wgpu::Features =
-    wgpu::Features::TIMESTAMP_QUERY.union(wgpu::Features::FLOAT32_BLENDABLE).union(wgpu::Features::FLOAT32_FILTERABLE);
+/// Features that are used where they are there: times of passes.
+const OPTIONAL_FEATURES: wgpu::Features = wgpu::Features::TIMESTAMP_QUERY;
 
 /// Chooses the adapter whose name contains it, in any case of letters: wgpu's own convention.
 const ADAPTER_VARIABLE: &str = "WGPU_ADAPTER_NAME";

@@ -130,6 +130,8 @@ impl InstanceRow {
 #[derive(Debug)]
 pub struct DrawList {
     instances: wgpu::Buffer,
+    /// By row of it, which of the scene's instances that is.
+    numbers: Vec<u32>,
     /// By mesh, chunk and instance.
     units: Vec<Unit>,
 }
@@ -174,6 +176,21 @@ impl DrawList {
             }
         }
         draws
+    }
+
+    /// Those of its parts whose instances are wanted.
+    pub fn only(&self, wanted: impl Fn(usize) -> bool) -> Self {
+        let is_wanted = |unit: &&Unit| wanted(self.numbers[unit.instance as usize] as usize);
+        Self {
+            instances: self.instances.clone(),
+            numbers: self.numbers.clone(),
+            units: self.units.iter().filter(is_wanted).copied().collect(),
+        }
+    }
+
+    /// Whether it holds nothing.
+    pub fn is_empty(&self) -> bool {
+        self.units.is_empty()
     }
 
     /// Bounds of what it holds, as its instances are placed.
@@ -323,7 +340,8 @@ impl SceneBuffers {
             units.push(Unit { mesh: mesh as u32, instance, indices, bounds });
         }
         let instances = gpu.buffer("the scene's instances", &rows, wgpu::BufferUsages::VERTEX)?;
-        Ok(DrawList { instances, units })
+        let numbers = rows.iter().map(|row| row.number).collect();
+        Ok(DrawList { instances, numbers, units })
     }
 
     /// A pass's own resources, bound beside those of each kind of cut-out.

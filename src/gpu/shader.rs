@@ -11,15 +11,20 @@ pub const SOURCES: &[(&str, &str)] = &[
     ("lib/counter.wgsl", include_str!("../../shaders/lib/counter.wgsl")),
     ("lib/cutout.wgsl", include_str!("../../shaders/lib/cutout.wgsl")),
     ("lib/emission.wgsl", include_str!("../../shaders/lib/emission.wgsl")),
+    ("lib/emitter.wgsl", include_str!("../../shaders/lib/emitter.wgsl")),
     ("lib/face.wgsl", include_str!("../../shaders/lib/face.wgsl")),
     ("lib/instance.wgsl", include_str!("../../shaders/lib/instance.wgsl")),
+    ("lib/pcss.wgsl", include_str!("../../shaders/lib/pcss.wgsl")),
     ("lib/sampling.wgsl", include_str!("../../shaders/lib/sampling.wgsl")),
+    ("lib/screen.wgsl", include_str!("../../shaders/lib/screen.wgsl")),
     ("lib/shadow_map.wgsl", include_str!("../../shaders/lib/shadow_map.wgsl")),
     ("passes/gbuffer.wgsl", include_str!("../../shaders/passes/gbuffer.wgsl")),
     ("passes/shadow_map.wgsl", include_str!("../../shaders/passes/shadow_map.wgsl")),
+    ("techniques/adaptive.wgsl", include_str!("../../shaders/techniques/adaptive.wgsl")),
     ("techniques/hard.wgsl", include_str!("../../shaders/techniques/hard.wgsl")),
     ("techniques/pcf.wgsl", include_str!("../../shaders/techniques/pcf.wgsl")),
     ("techniques/pcss.wgsl", include_str!("../../shaders/techniques/pcss.wgsl")),
+    ("techniques/temporal.wgsl", include_str!("../../shaders/techniques/temporal.wgsl")),
     ("techniques/uniform.wgsl", include_str!("../../shaders/techniques/uniform.wgsl")),
 ];
 
@@ -80,11 +85,6 @@ impl Source {
             }
         }
         bindings
-    }
-
-    /// Whether some resource has this name, used or not.
-    pub fn declares(&self, name: &str) -> bool {
-        self.module.global_variables.iter().any(|(_, variable)| variable.name.as_deref() == Some(name))
     }
 
     fn compile(&self, gpu: &Gpu) -> wgpu::ShaderModule {

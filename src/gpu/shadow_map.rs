@@ -14,6 +14,8 @@
 //!   diameter of two texels, however it grazes. By so much the plane is moved towards the light; what blocks from lower is lost,
 //!   which takes less than a texel (as it falls on the receiver) from the shadow at a contact.
 
+use std::ops::Range;
+
 use glam::{DMat3, DVec2, DVec3, DVec4, Vec3, Vec4};
 use rayon::prelude::*;
 
@@ -21,7 +23,7 @@ use super::Gpu;
 use super::gbuffer::DEPTH;
 use super::light_view::LightView;
 use super::pass::Frame;
-use super::scene::{Draw, ScenePipelines, VERTEX_BUFFERS};
+use super::scene::{Draw, DrawList, ScenePipelines, VERTEX_BUFFERS};
 use super::shader::{Constants, Targets};
 use crate::Result;
 use crate::gpu_struct;
@@ -93,23 +95,34 @@ struct Batch {
 #[derive(Debug)]
 pub struct ShadowMaps<'a> {
     view: &'a LightView<'a>,
+    casters: &'a DrawList,
     batches: Vec<Batch>,
-    depth: wgpu::Texture,
+    /// One for all batches, or one for each.
+    depth: Vec<wgpu::Texture>,
     /// Maps of all batches.
     pub count: u32,
+}
+
+/// Whether maps stay after they have been read.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Keep {
+    /// Each batch is drawn over the one before.
+    One,
+    /// Each batch has a texture array of its own.
+    All,
 }
 
 /// Maps that have been rendered, to be read by a technique.
 #[derive(Debug)]
 pub struct RenderedMaps {
+    /// Which of the points given these are.
+    pub range: Range<usize>,
     /// `array<Face>`.
     pub faces: wgpu::Buffer,
     /// `array<LightPoint>`.
     pub points: wgpu::Buffer,
     /// `texture_depth_2d_array`.
     pub depth: wgpu::TextureView,
-    /// How many points there are.
-    pub point_count: u32,
 }
 
 /// The shader constants that maps need.
@@ -122,6 +135,21 @@ impl<'a> ShadowMaps<'a> {
     /// # Errors
     /// [`crate::Error::Gpu`] where maps of that size don't fit.
     pub fn new(view: &'a LightView, points: &[MapPoint], boxes: &[Bounds], size: u32, margin: u32) -> Result<Self> {
+        Self::of(view, &view.casters, points, boxes, [size, margin], Keep::One)
+    }
+
+    /// [`ShadowMaps::new`], of some of the casters alone, or maps that all stay; they see what those of all casters see, as deep.
+    ///
+    /// # Errors
+    /// As [`ShadowMaps::new`].
+    pub fn of(
+        view: &'a LightView,
+        casters: &'a DrawList,
+        points: &[MapPoint],
+        boxes: &[Bounds],
+        [size, margin]: [u32; 2],
+        keep: Keep,
+    ) -> Result<Self> {
         let fit = Fit { view, boxes, size, margin };
         let fitted: Vec<(u32, Vec<Face>)> = points.par_iter().map(|point| fit.point(point)).collect();
         let most = most_faces(&view.gpu.device.limits(), size);
@@ -142,11 +170,16 @@ impl<'a> ShadowMaps<'a> {
             });
             batch.faces.extend(faces);
         }
-        let layers = batches.iter().map(|batch| batch.faces.len()).max().unwrap_or(1).max(1);
+        let layers = batches.iter().map(|batch| batch.faces.len().max(1) as u32);
+        let layers = match keep {
+            Keep::One => vec![layers.max().unwrap_or(1)],
+            Keep::All => layers.collect(),
+        };
         let usage = wgpu::TextureUsages::RENDER_ATTACHMENT | wgpu::TextureUsages::TEXTURE_BINDING;
-        let depth = view.gpu.texture("shadow maps", [size, size, layers as u32], DEPTH, usage)?;
+        let texture = |layers| view.gpu.texture("shadow maps", [size, size, layers], DEPTH, usage);
+        let depth = layers.into_iter().map(texture).collect::<Result<_>>()?;
         let count = batches.iter().map(|batch| batch.faces.len() as u32).sum();
-        Ok(Self { view, batches, depth, count })
+        Ok(Self { view, casters, batches, depth, count })
     }
 
     /// Renders batch after batch and gives each to `evaluate`, which records what reads it; `done` takes what a batch's passes
@@ -157,30 +190,66 @@ impl<'a> ShadowMaps<'a> {
     pub fn each_batch(
         &self,
         mut evaluate: impl FnMut(&mut Frame, &RenderedMaps),
+        done: impl FnMut(Vec<crate::techniques::Pass>) -> Result<()>,
+    ) -> Result<()> {
+        self.each_batch_beside(None, |frame, maps, _| evaluate(frame, maps), done)
+    }
+
+    /// [`ShadowMaps::each_batch`], with the maps of other casters from the same points beside them.
+    ///
+    /// # Errors
+    /// Those of `done`.
+    pub fn each_batch_beside(
+        &self,
+        beside: Option<&Self>,
+        mut evaluate: impl FnMut(&mut Frame, &RenderedMaps, Option<&RenderedMaps>),
         mut done: impl FnMut(Vec<crate::techniques::Pass>) -> Result<()>,
     ) -> Result<()> {
-        let gpu = self.view.gpu;
-        let pipelines = pipelines(gpu);
-        for batch in &self.batches {
-            let mut frame = Frame::new(gpu);
-            let maps = RenderedMaps {
-                faces: gpu.buffer("faces", &batch.faces, wgpu::BufferUsages::STORAGE)?,
-                points: gpu.buffer("light points", &batch.points, wgpu::BufferUsages::STORAGE)?,
-                depth: self.depth.create_view(&wgpu::TextureViewDescriptor {
-                    dimension: Some(wgpu::TextureViewDimension::D2Array),
-                    ..wgpu::TextureViewDescriptor::default()
-                }),
-                point_count: batch.points.len() as u32,
-            };
-            self.render(&mut frame, &pipelines, batch)?;
-            evaluate(&mut frame, &maps);
+        for batch in 0..self.batches.len() {
+            let mut frame = Frame::new(self.view.gpu);
+            let maps = self.render(&mut frame, batch)?;
+            let beside = beside.map(|maps| maps.render(&mut frame, batch)).transpose()?;
+            evaluate(&mut frame, &maps, beside.as_ref());
             done(frame.finish()?)?;
         }
         Ok(())
     }
 
-    fn render(&self, frame: &mut Frame, pipelines: &ScenePipelines, Batch { faces, .. }: &Batch) -> Result<()> {
-        let LightView { gpu, buffers, casters, .. } = self.view;
+    /// How many batches there are.
+    pub fn batches(&self) -> usize {
+        self.batches.len()
+    }
+
+    /// Records the rendering of a batch.
+    ///
+    /// # Errors
+    /// [`crate::Error::Gpu`] where what the maps need does not fit.
+    pub fn render(&self, frame: &mut Frame, batch: usize) -> Result<RenderedMaps> {
+        let gpu = self.view.gpu;
+        let texture = &self.depth[batch.min(self.depth.len() - 1)];
+        let first: usize = self.batches[..batch].iter().map(|batch| batch.points.len()).sum();
+        let batch = &self.batches[batch];
+        self.draw(frame, &pipelines(gpu), texture, batch)?;
+        Ok(RenderedMaps {
+            range: first..first + batch.points.len(),
+            faces: gpu.buffer("faces", &batch.faces, wgpu::BufferUsages::STORAGE)?,
+            points: gpu.buffer("light points", &batch.points, wgpu::BufferUsages::STORAGE)?,
+            depth: texture.create_view(&wgpu::TextureViewDescriptor {
+                dimension: Some(wgpu::TextureViewDimension::D2Array),
+                ..wgpu::TextureViewDescriptor::default()
+            }),
+        })
+    }
+
+    fn draw(
+        &self,
+        frame: &mut Frame,
+        pipelines: &ScenePipelines,
+        texture: &wgpu::Texture,
+        Batch { faces, .. }: &Batch,
+    ) -> Result<()> {
+        let LightView { gpu, buffers, .. } = self.view;
+        let casters = self.casters;
         let draws: Vec<Vec<Draw>> =
             faces.par_iter().map(|face| casters.draws(|bounds| is_in_view(face, bounds))).collect();
         let stride = face_stride(&gpu.device.limits());
@@ -196,7 +265,7 @@ impl<'a> ShadowMaps<'a> {
                 size: wgpu::BufferSize::new(size_of::<Face>() as u64),
             });
             let groups = buffers.bind_groups(gpu, pipelines, &[("face", face)]);
-            let target = self.depth.create_view(&wgpu::TextureViewDescriptor {
+            let target = texture.create_view(&wgpu::TextureViewDescriptor {
                 dimension: Some(wgpu::TextureViewDimension::D2),
                 base_array_layer: layer as u32,
                 array_layer_count: Some(1),
@@ -212,6 +281,14 @@ impl<'a> ShadowMaps<'a> {
         }
         Ok(())
     }
+}
+
+/// How much of the view each of the maps like those of [`ShadowMaps::new`] shows: in squared tangents, from a distant light in
+/// squared lengths on the GPU's scale.
+pub fn shown_areas(view: &LightView, points: &[MapPoint], boxes: &[Bounds], [size, margin]: [u32; 2]) -> Vec<f64> {
+    let fit = Fit { view, boxes, size, margin };
+    let faces: Vec<Vec<Face>> = points.par_iter().map(|point| fit.point(point).1).collect();
+    faces.iter().flatten().map(|face| 1.0 / (f64::from(face.window.x) * f64::from(face.window.y))).collect()
 }
 
 fn pipelines(gpu: &Gpu) -> ScenePipelines {

@@ -5,6 +5,7 @@
 
 mod heatmap;
 mod interval;
+mod sequence;
 
 use std::collections::BTreeMap;
 use std::fmt::Write;
@@ -17,6 +18,7 @@ use crate::{Error, Result};
 
 pub use heatmap::{Map, heatmap};
 pub use interval::{RmseEstimate, rmse_interval};
+pub use sequence::{Change, GHOST_ERROR, SMALL_ERRORS, SequenceMeter, Settling, Since, Stability, pool};
 
 /// Which pixels are measured. Made from the reference alone, so that every test is judged on the same pixels. Pixels that
 /// face away from the light (the reference's `facing` is 0) are in none.
@@ -77,6 +79,19 @@ pub struct PixelCounts {
     pub coverage_differs: u64,
     /// Left out: surfaces farther apart than a pixel's footprint.
     pub position_differs: u64,
+}
+
+impl std::ops::Add for PixelCounts {
+    type Output = Self;
+
+    fn add(self, other: Self) -> Self {
+        Self {
+            compared: self.compared + other.compared,
+            uncovered: self.uncovered + other.uncovered,
+            coverage_differs: self.coverage_differs + other.coverage_differs,
+            position_differs: self.position_differs + other.position_differs,
+        }
+    }
 }
 
 /// How the images differ in one light.

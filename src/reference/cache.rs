@@ -23,6 +23,7 @@ const LIGHT: &str = "light";
 /// A technique whose answers are looked up in a directory first, and kept there. An answer is found again when nothing that it
 /// depends on has changed: geometry, cut-outs, instances and linking, the light, every receiver, the technique and its
 /// parameters. Each is an EXR file of its own, named by the hash of all that; any of them may be removed at any time.
+#[derive(Debug)]
 pub struct Cached<'a> {
     technique: &'a dyn Technique,
     name: &'a str,
@@ -262,6 +263,7 @@ mod tests {
                 irradiance,
                 progress: &progress,
                 buffers: None,
+                shot: None,
             };
             let directory = std::env::temp_dir();
             let cached = Cached::new(&self.rays, self.name, &directory).expect("a directory for temporary files");

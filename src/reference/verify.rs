@@ -57,8 +57,10 @@ pub fn verify(
     let mut pixels: Vec<_> = chosen.iter().map(|&index| receivers.pixels[index]).collect();
     pixels.resize((rows * ROW) as usize, None);
     let subset = Receivers { size: [ROW, rows], pixels };
-    let exact =
-        Exact.render(&Frame { scene, bvh, receivers: &subset, irradiance: false, progress, buffers: None }, light)?;
+    let exact = Exact.render(
+        &Frame { scene, bvh, receivers: &subset, irradiance: false, progress, buffers: None, shot: None },
+        light,
+    )?;
     progress.advance(steps(count) - u64::from(rows))?;
     let difference = |(&index, &truth): (&usize, &f32)| f64::from(image.visibility[index]) - f64::from(truth);
     let errors: Vec<f64> = chosen.iter().zip(&exact.visibility).map(difference).collect();

@@ -8,7 +8,7 @@ use std::sync::Arc;
 use glam::{DAffine3, DMat3, DQuat, DVec3, Vec3};
 use rayon::prelude::*;
 
-use super::{MAX_COORDINATE, Scene, gltf};
+use super::{MAX_COORDINATE, Scene, gltf, procedural};
 use crate::Result;
 
 /// A scene that can be had at any time.
@@ -24,9 +24,10 @@ pub struct Animated {
 enum Source {
     Still(Box<Scene>),
     Gltf(Box<gltf::Model>),
+    Procedural(Box<procedural::Moving>),
 }
 
-/// One animation of a file.
+/// One animation of a file, or of a procedural scene.
 #[derive(Debug, Clone)]
 pub struct Clip {
     /// Its name, unique within the file.
@@ -117,7 +118,12 @@ impl Animated {
         Self { clips, source: Source::Gltf(Box::new(model)) }
     }
 
-    /// The scene without any clip: as the file's nodes pose it.
+    /// A scene made by code with parts that move.
+    pub(super) fn procedural(moving: procedural::Moving, clip: Clip) -> Self {
+        Self { clips: vec![clip], source: Source::Procedural(Box::new(moving)) }
+    }
+
+    /// The scene without any clip: as the file's nodes pose it, or as it is at the start of a procedural one's.
     ///
     /// # Errors
     /// None in practice: the same pose was made when the file was loaded.
@@ -125,11 +131,12 @@ impl Animated {
         match &self.source {
             Source::Still(scene) => Ok(Scene::clone(scene)),
             Source::Gltf(model) => model.rest(),
+            Source::Procedural(moving) => Ok(moving.rest()),
         }
     }
 
-    /// The scene at a time of one of its clips. Its origin is that of its own geometry, so it may move from one time to
-    /// another; meshes that nothing deforms share their vertices with every other time.
+    /// The scene at a time of one of its clips. A file's has the origin of its own geometry, which may move from one time to
+    /// another; a procedural one's stays. Meshes that nothing deforms share their vertices with every other time.
     ///
     /// # Errors
     /// A pose that can't be rendered: a node that is flattened, or geometry out of range.
@@ -141,6 +148,7 @@ impl Animated {
         match &self.source {
             Source::Still(scene) => Ok(Scene::clone(scene)),
             Source::Gltf(model) => model.pose(clip, seconds),
+            Source::Procedural(moving) => Ok(moving.pose(clip, seconds)),
         }
     }
 }

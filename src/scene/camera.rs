@@ -65,6 +65,21 @@ impl Camera {
         }
     }
 
+    /// This camera with a view that shows so many pixels more on either side, and above and below, of an image of `size`.
+    pub fn widened(&self, size: [u32; 2], border: [u32; 2]) -> Self {
+        if border[1] == 0 {
+            return self.clone();
+        }
+        let growth = f64::from(size[1] + 2 * border[1]) / f64::from(size[1]);
+        let projection = match self.projection {
+            Projection::Perspective { fov_y } => {
+                Projection::Perspective { fov_y: 2.0 * (growth * (0.5 * fov_y).tan()).atan() }
+            }
+            Projection::Orthographic { half_height } => Projection::Orthographic { half_height: growth * half_height },
+        };
+        Self { projection, ..self.clone() }
+    }
+
     /// The world width of a pixel at `depth` along the view axis, m.
     pub fn pixel_footprint(&self, depth: f64, size: [u32; 2]) -> f64 {
         let height = f64::from(size[1]);

@@ -1,19 +1,26 @@
 //! Scenes made by code: those with a closed form ([`crate::closed_forms`]), a few for hard cases, and the demo.
 //!
-//! A scene is asked for as `procedural:NAME?key=value&key=value`. The receiver is the plane y = 0, lights hang above it and
-//! face down. Where an answer is known, [`Procedural::truth`] gives it at any world position of the receiver, worked out from
-//! the `f32` vertices that the scene really holds.
+//! A scene is asked for as `procedural:NAME?key=value&key=value`. Lights hang above the receiver and face down; the receiver
+//! is the plane y = 0 but for a tilted one. Where an answer is known, [`Procedural::truth`] gives it at any world position of
+//! the receiver, worked out from the `f32` vertices that the scene really holds. Most scenes stand still; [`load_animated`]
+//! gives the one that moves at any time.
 
 mod demo;
+mod motion;
+mod moving;
 mod shapes;
 
+use std::collections::BTreeMap;
 use std::f64::consts::{PI, TAU};
 use std::fmt;
 
 use glam::{DAffine3, DMat3, DVec2, DVec3, Vec3};
 
+pub(super) use self::motion::Moving;
+use self::motion::{Mover, Part, Placement};
 use self::shapes::Surface;
 use super::additions::parse_vector;
+use super::animation::{Animated, Clip};
 use super::camera::{Camera, Projection, look_at};
 use super::light::{AreaLight, Domain, Emission, Emitter, Shape};
 use super::{Instance, Material, Mesh, Node, Scene};
@@ -260,15 +267,63 @@ pub const ENTRIES: &[Entry] = &[
         ],
         build: instances,
     },
+    Entry {
+        name: "tilt",
+        about: "a half-plane over a receiver that tilts down from below its edge: the penumbra grows with the angle",
+        parameters: &[
+            parameter("light", Kind::Positive(0.25), LIGHT.meaning),
+            HEIGHT,
+            LIFT,
+            parameter("angle", Kind::Number(0.0), "tilt of the receiver, degrees; 0 to 80"),
+            parameter("distance", Kind::Positive(1.0), "from the camera to the penumbra's middle, in units of 4 m"),
+            SHAPE,
+        ],
+        build: tilt,
+    },
+    Entry {
+        name: "moving",
+        about: "a room whose parts move, one by one or together, on a loop of 2 s (--frames 0-47)",
+        parameters: &[
+            parameter("camera", switch(1), "whether the camera walks"),
+            parameter("light", switch(0), "whether the light slides"),
+            parameter("caster", switch(0), "whether the hoop flies"),
+            parameter("receiver", switch(0), "whether the board slides and turns"),
+            parameter("light_size", Kind::Positive(0.8), "width of the light, m; at most 2"),
+            parameter("aspect", Kind::Positive(1.0), "width of the light over its height; a large one makes it a line"),
+            parameter("speed", Kind::Positive(1.0), "the loop takes 2 s over this"),
+        ],
+        build: moving::build,
+    },
 ];
+
+/// 0 or 1.
+const fn switch(default: u32) -> Kind {
+    Kind::Count { default, min: 0, max: 1 }
+}
 
 /// Makes the scene that `spec` (`NAME?key=value&key=value`, with or without `procedural:` before it) asks for.
 pub fn load(spec: &str) -> Result<Scene> {
     build(spec).map(|procedural| procedural.scene)
 }
 
+/// [`load`], with the loop that the scene has, if it moves. At its time 0 the scene is what [`load`] makes.
+pub fn load_animated(spec: &str) -> Result<Animated> {
+    let (Procedural { scene, .. }, motion) = make(spec)?;
+    Ok(match motion {
+        Some((parts, placement, clip)) => Animated::procedural(Moving::new(scene, parts, placement), clip),
+        None => Animated::still(scene),
+    })
+}
+
 /// [`load`], with what is known about the scene.
 pub fn build(spec: &str) -> Result<Procedural> {
+    make(spec).map(|(procedural, _)| procedural)
+}
+
+/// What moves in a scene: parts by node, and how.
+type Motion = (BTreeMap<usize, Part>, Placement, Clip);
+
+fn make(spec: &str) -> Result<(Procedural, Option<Motion>)> {
     let spec = spec.strip_prefix("procedural:").unwrap_or(spec);
     let (name, query) = spec.split_once('?').unwrap_or((spec, ""));
     let Some(entry) = ENTRIES.iter().find(|entry| entry.name == name) else {
@@ -411,6 +466,7 @@ struct Draft {
     materials: Vec<Material>,
     lights: Vec<AreaLight>,
     cameras: Vec<Camera>,
+    movers: Vec<Mover>,
     truth: Option<Answer>,
 }
 
@@ -443,7 +499,14 @@ impl Object {
 impl Draft {
     /// A scene of one light.
     fn lit_by(light: AreaLight, camera: Camera, objects: Vec<Object>) -> Self {
-        Self { objects, materials: Vec::new(), lights: vec![light], cameras: vec![camera], truth: None }
+        Self {
+            objects,
+            materials: Vec::new(),
+            lights: vec![light],
+            cameras: vec![camera],
+            movers: Vec::new(),
+            truth: None,
+        }
     }
 
     fn with_truth(self, truth: Answer) -> Self {
@@ -451,12 +514,10 @@ impl Draft {
     }
 
     /// Scales, shifts, rounds the vertices and rebases.
-    fn finish(self, values: &Values, name: String) -> Result<Procedural> {
+    fn finish(self, values: &Values, name: String) -> Result<(Procedural, Option<Motion>)> {
         let (shift, scale) = (values.vector("shift"), values.number("scale"));
-        let moved = |transform: &DAffine3| DAffine3 {
-            matrix3: transform.matrix3,
-            translation: transform.translation * scale + shift,
-        };
+        let placement = Placement { scale, shift };
+        let moved = |transform: &DAffine3| placement.placed(transform, DVec3::ZERO);
         let mut scene = Scene { name, materials: self.materials, ..Scene::default() };
         for object in self.objects {
             let in_place = object.instances.is_empty();
@@ -514,10 +575,27 @@ impl Draft {
                 ..camera
             })
             .collect();
+        let movers = self.movers.into_iter().map(|mover| scene_mover(&mut scene, mover)).collect();
+        let (parts, clip) = motion::place(&mut scene, movers, placement);
         let truth = self.truth.map(|answer| truth(&answer, &scene));
         scene.rebase();
-        Ok(Procedural { scene, truth })
+        Ok((Procedural { scene, truth }, clip.map(|clip| (parts, placement, clip))))
     }
+}
+
+/// A mover with its node: an object's own, or a new one that stands for a light or a camera.
+fn scene_mover(scene: &mut Scene, mover: Mover) -> (usize, Mover) {
+    let name = match mover.part {
+        Part::Object(object) => {
+            // The draft's objects are the scene's meshes and nodes.
+            let instance = scene.instances.iter().position(|instance| instance.node == object);
+            return (object, Mover { part: Part::Object(instance.expect("each object has an instance")), ..mover });
+        }
+        Part::Light(light) => scene.lights[light].name.clone(),
+        Part::Camera(camera) => scene.cameras[camera].name.clone(),
+    };
+    scene.nodes.push(Node { name, parent: None });
+    (scene.nodes.len() - 1, mover)
 }
 
 /// Unit again after rounding, as far as `f32` goes.
@@ -790,6 +868,59 @@ fn instances(values: &Values) -> Result<Draft> {
     let light = light_of(values, 0.15 * side, side * DVec3::new(-0.7, 1.2, -0.4), DVec3::ZERO)?;
     let camera = view_camera(DVec3::new(0.3, 1.3, 1.9) * (side + 1.0), DVec3::ZERO);
     Ok(Draft::lit_by(light, camera, vec![floor(side), pebble]))
+}
+
+/// The steepest tilt, degrees: steeper ones see the light at a grazing angle.
+const MOST_TILT: f64 = 80.0;
+
+/// How far the tilted receiver goes from the origin, m.
+const TILT_REACH: f64 = 20.0;
+
+/// From the camera to what it looks at when `distance` is 1, m.
+const TILT_VIEW: f64 = 4.0;
+
+/// Schwärzler et al. 2009, "Fast accurate soft shadows with adaptive light source sampling", Fig. 4. The receiver goes through
+/// the origin, below the edge, and falls towards +X; the half-plane is over its upper part.
+fn tilt(values: &Values) -> Result<Draft> {
+    let (lift, half, height) = (caster_height(values, "lift")?, values.number("light"), values.number("height"));
+    let (degrees, distance) = (values.number("angle"), values.number("distance"));
+    if !(0.0..=MOST_TILT).contains(&degrees) {
+        return Err(values.error("angle", format!("expected 0 to {MOST_TILT}, found {degrees}")));
+    }
+    if !(1e-3..=1e3).contains(&distance) {
+        return Err(values.error("distance", format!("expected 0.001 to 1000, found {distance}")));
+    }
+    let (sin, cos) = degrees.to_radians().sin_cos();
+    // All of it in front of the receiver, or a part of it would be hidden by no occluder.
+    if half >= height * cos {
+        let message = format!("expected less than {} at this height and angle, found {half}", height * cos);
+        return Err(values.error("light", message));
+    }
+    let (downhill, normal) = (DVec3::new(cos, -sin, 0.0), DVec3::new(sin, cos, 0.0));
+    // The receiver ends before it comes up to the half-plane.
+    let uphill = if TILT_REACH * sin < 0.95 * lift { TILT_REACH } else { 0.95 * lift / sin };
+    let receiver = [(-uphill, 1.0), (TILT_REACH, 1.0), (TILT_REACH, -1.0), (-uphill, -1.0)]
+        .map(|(along, side)| along * downhill + side * TILT_REACH * DVec3::Z);
+    let reach = 2.0 * (TILT_REACH + half);
+    let occluder =
+        [(0.0, 1.0), (0.0, -1.0), (-1.0, -1.0), (-1.0, 1.0)].map(|(x, z)| DVec3::new(x * reach, lift, z * reach));
+
+    // How far down the receiver the line from an end of the light over the edge meets it.
+    let meets = |end: f64| {
+        let slope = end / (height - lift);
+        let closing = cos - slope * sin;
+        if closing > 0.0 { slope * lift / closing } else { TILT_REACH }
+    };
+    let middle = 0.5 * (meets(half).min(TILT_REACH) + meets(-half).max(-uphill)) * downhill;
+    // From down the slope, so that the half-plane is not in the way.
+    let (sin, cos) = 35f64.to_radians().sin_cos();
+    let eye = middle + TILT_VIEW * distance * (cos * normal + sin * downhill);
+    let camera = Camera { scene_from_camera: look_at(eye, middle, -downhill), ..view_camera(eye, middle) };
+    let objects = vec![
+        Object::plain("receiver", shapes::polygon(&receiver)),
+        Object::plain("half-plane", shapes::polygon(&occluder)),
+    ];
+    Ok(Draft::lit_by(light_above(values, DVec2::ZERO)?, camera, objects).with_truth(Answer::HalfPlanes(vec![1])))
 }
 
 // --------------------------------------------------------------------------------------------------------------- values

@@ -2,10 +2,12 @@
 //!
 //! A technique is one file with an [`Entry`] in it; the command line, the demo and the tests iterate [`ALL`].
 
+pub mod adaptive;
 pub mod hard;
 pub mod pcf;
 pub mod pcss;
 pub mod rays;
+pub mod temporal;
 pub mod uniform;
 
 use std::sync::{Arc, Mutex, PoisonError};
@@ -20,13 +22,15 @@ use serde_json::{Map, Value};
 use crate::geometry::bvh::SceneBvh;
 use crate::gpu::Gpu;
 use crate::gpu::scene::SceneBuffers;
+use crate::history::Shot;
 use crate::progress::{Progress, ms_since};
 use crate::receivers::{Receiver, Receivers};
 use crate::scene::{AreaLight, Scene};
 use crate::{Error, Result};
 
 /// All techniques, in the order in which they are shown.
-pub const ALL: &[Entry] = &[rays::ENTRY, hard::ENTRY, pcf::ENTRY, pcss::ENTRY, uniform::ENTRY];
+pub const ALL: &[Entry] =
+    &[rays::ENTRY, hard::ENTRY, pcf::ENTRY, pcss::ENTRY, uniform::ENTRY, adaptive::ENTRY, temporal::ENTRY];
 
 /// A technique's place in the registry.
 #[derive(Debug)]
@@ -107,6 +111,8 @@ pub struct Frame<'a> {
     pub progress: &'a Progress,
     /// The scene on the GPU, for techniques that have one.
     pub buffers: Option<&'a SceneBuffers>,
+    /// The image that the receivers are the pixels of; none for given receivers.
+    pub shot: Option<&'a Shot<'a>>,
 }
 
 /// What a technique finds out about one light, a value a pixel; pixels without receiver hold V = 1 and E = 0.
@@ -200,7 +206,7 @@ pub fn add_passes(passes: &mut Vec<Pass>, more: Vec<Pass>) {
 }
 
 /// Anything that estimates the visibility of a light from receivers.
-pub trait Technique: Send + Sync {
+pub trait Technique: std::fmt::Debug + Send + Sync {
     /// The estimate for one light.
     ///
     /// # Errors
@@ -209,6 +215,11 @@ pub trait Technique: Send + Sync {
 
     /// The parameters in force, defaults included.
     fn parameters(&self) -> Value;
+
+    /// Pixels that it wants to see beyond an image of `size`, left and right, above and below; of those on a GPU.
+    fn border_px(&self, _size: [u32; 2]) -> [u32; 2] {
+        [0; 2]
+    }
 
     /// What it runs on, where that is not the processor.
     fn gpu(&self) -> Option<&Gpu> {

@@ -14,7 +14,7 @@ use serde_json::Value;
 use super::{Context, Entry, Frame, LightImage, Needs, Parameters, Technique, add_passes, parse_parameters, schema_of};
 use crate::Result;
 use crate::gpu::emission::Emission;
-use crate::gpu::light_view::{LightView, WORKGROUP};
+use crate::gpu::light_view::{LightView, WORKGROUP, seen_of};
 use crate::gpu::shadow_map::{self, MapPoint, RenderedMaps, ShadowMaps};
 use crate::gpu::{self, Gpu};
 use crate::sampling::{Pattern, Sampler, disk_from_square, grid_of};
@@ -180,19 +180,7 @@ impl Technique for Built {
             frame.progress.check()
         })?;
         let sums: Vec<Vec<[f32; 4]>> = sums.iter().map(|sums| gpu.read_buffer(sums)).collect::<Result<_>>()?;
-        let image = LightView::image(Some(&view), frame, light, |chunk, i, _| {
-            let [seen, seen_weight, above, weight] = sums[chunk][i].map(f64::from);
-            // E = E₀ where nothing above the horizon is hidden, however the weights lie; where all points miss what little of the
-            // light emits this way, the seen share of the area stands for that of the weights.
-            let share = if seen == above {
-                1.0
-            } else if weight > 0.0 {
-                seen_weight / weight
-            } else {
-                seen / above
-            };
-            (seen / whole, share)
-        });
+        let image = LightView::image(Some(&view), frame, light, |chunk, i, _| seen_of(sums[chunk][i], whole));
         frame.progress.advance(u64::from(frame.receivers.size[1]))?;
         Ok(LightImage {
             samples: points.len() as u32,

@@ -15,7 +15,7 @@ use crate::common::receivers;
 pub static CONTEXT: LazyLock<Context> = LazyLock::new(Context::default);
 
 /// The techniques that read shadow maps.
-pub const MAPPED: [&str; 4] = ["hard", "pcf", "pcss", "uniform"];
+pub const MAPPED: [&str; 6] = ["hard", "pcf", "pcss", "uniform", "adaptive", "temporal"];
 
 /// Texels on either side of its own that `pcf` reads as [`mapped`] makes it.
 pub const PCF_RADIUS: u32 = 1;
@@ -32,6 +32,8 @@ pub fn mapped(name: &str, map_size: u32) -> Box<dyn Technique> {
         "pcf" => "kernel=3",
         "pcss" => "dense=true",
         "uniform" => "samples=16",
+        "adaptive" => "max_depth=2",
+        "temporal" => "frames=16 start_weight=0 threshold=1",
         _ => "",
     };
     technique(name, &format!("{own} map_size={map_size}"))

@@ -2,6 +2,7 @@
 
 #![expect(dead_code, reason = "each test binary uses some of it")]
 
+use std::f64::consts::PI;
 use std::path::{Path, PathBuf};
 
 use glam::{DAffine3, DMat3, DVec2, DVec3, Vec3};
@@ -115,6 +116,23 @@ pub fn same_bits(what: &str, a: &[LightImage], b: &[LightImage]) {
     }
 }
 
+/// A sphere of radius 1 around the origin: as many rows of facets as subdivisions, twice as many columns.
+pub fn sphere(subdivisions: u32) -> Vec<[[f32; 3]; 3]> {
+    let (n, m) = (2 * subdivisions, subdivisions);
+    let vertex = |i: u32, j: u32| {
+        let (phi, theta) = (2.0 * PI * f64::from(i % n) / f64::from(n), PI * f64::from(j) / f64::from(m));
+        DVec3::new(theta.sin() * phi.cos(), theta.cos(), theta.sin() * phi.sin()).as_vec3().to_array()
+    };
+    let mut triangles = Vec::new();
+    for i in 0..n {
+        for j in 0..m {
+            triangles.push([vertex(i, j), vertex(i + 1, j), vertex(i + 1, j + 1)]);
+            triangles.push([vertex(i, j), vertex(i + 1, j + 1), vertex(i, j + 1)]);
+        }
+    }
+    triangles
+}
+
 /// `rays` with a pattern and a count.
 pub fn rays(pattern: Pattern, samples: u32) -> Rays {
     Rays { samples, pattern, seed: 0 }
@@ -140,7 +158,7 @@ pub fn exact(scene: &Scene, receivers: &Receivers) -> Vec<Vec<Answer>> {
     let mut bvh = SceneBvh::new(scene);
     bvh.add(|_| true);
     let progress = Progress::default();
-    let frame = Frame { scene, bvh: &bvh, receivers, irradiance: true, progress: &progress, buffers: None };
+    let frame = Frame { scene, bvh: &bvh, receivers, irradiance: true, progress: &progress, buffers: None, shot: None };
     let of_light = |light: &AreaLight| {
         let linking = Linking::of(scene, light);
         let receivers = receivers.hits().enumerate();

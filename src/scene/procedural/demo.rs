@@ -75,24 +75,25 @@ pub(super) fn build(values: &Values) -> Result<Draft> {
             light("Rim", rim, 0.25 * PI * RIM_DIAMETER.powi(2), RIM_AT, RIM_TARGET, DVec3::new(0.16, 0.20, 0.26)),
         ],
         cameras: vec![view_camera(DVec3::new(1.2, 4.1, 8.3), DVec3::new(0.3, 0.6, 0.15))],
+        movers: Vec::new(),
         truth: None,
     })
 }
 
 /// A light whose irradiance at its target, facing up, is π times `color`.
-fn light(name: &str, shape: Shape, area: f64, at: DVec3, target: DVec3, color: DVec3) -> AreaLight {
+pub(super) fn light(name: &str, shape: Shape, area: f64, at: DVec3, target: DVec3, color: DVec3) -> AreaLight {
     let way = at - target;
     let cosine = way.y / way.length();
     let radiance = color * (PI * way.length_squared() / (area * cosine));
     AreaLight { emission: Emission::Radiance(radiance), ..AreaLight::new(name, look_at(at, target, DVec3::Y), shape) }
 }
 
-fn object(name: &'static str, material: usize, surface: Surface) -> Object {
+pub(super) fn object(name: &'static str, material: usize, surface: Surface) -> Object {
     Object { material: Some(material), ..Object::plain(name, surface) }
 }
 
 /// At a place, turned about +Y by degrees.
-fn placed(at: DVec3, degrees: f64) -> DAffine3 {
+pub(super) fn placed(at: DVec3, degrees: f64) -> DAffine3 {
     DAffine3 { matrix3: DMat3::from_rotation_y(degrees.to_radians()), translation: at }
 }
 
@@ -108,7 +109,7 @@ fn backdrop() -> Surface {
 }
 
 /// A box of some size that stands on the floor, its foot's middle at a place.
-fn standing(foot: DVec3, size: DVec3) -> Surface {
+pub(super) fn standing(foot: DVec3, size: DVec3) -> Surface {
     let half = DVec3::new(0.5 * size.x, 0.0, 0.5 * size.z);
     shapes::cuboid(foot - half, foot + half + DVec3::Y * size.y)
 }

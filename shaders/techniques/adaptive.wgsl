@@ -1,0 +1,389 @@
+// Adaptive light sampling. Schwärzler 2009, "Fast Accurate Soft Shadows with Adaptive Light Source Sampling": where the maps of few
+// points of the light differ as the camera sees them, the light is divided, and more maps are rendered.
+//
+// What a point of the light is to a receiver is kept in a byte, so that a map is read once and need not be kept: how many of the
+// kernel's texels let it through, four points in a word.
+
+#import "lib/shadow_map.wgsl"
+#import "lib/emission.wgsl"
+#import "lib/emitter.wgsl"
+#import "lib/sampling.wgsl"
+#import "lib/screen.wgsl"
+
+/// By plane and receiver: four points' bytes.
+@group(0) @binding(4) var<storage, read_write> planes: array<u32>;
+/// By point and receiver: where along the light's normal what the point sees there is, from the origin.
+@group(0) @binding(14) var<storage, read_write> depths: array<f32>;
+@group(0) @binding(6) var<uniform> job: Job;
+/// Tiles that need some of the job's points: their first receiver, how many they have, and a bit for each point needed.
+@group(0) @binding(8) var<storage, read> needed: array<vec4<u32>>;
+/// By cell, pair of its corners, and tile: how much they differ.
+@group(0) @binding(9) var<storage, read_write> differences: array<atomic<u32>>;
+/// Weights of the points seen and of all above the horizon, and those weights times what the points emit towards the receiver.
+@group(0) @binding(10) var<storage, read_write> sums: array<vec4<f32>>;
+@group(0) @binding(15) var<uniform> emission: Emission;
+/// Of each point of a batch.
+@group(0) @binding(12) var<storage, read> weights: array<f32>;
+/// What the light's centre sees: the receivers of a comparison there.
+@group(0) @binding(13) var<storage, read_write> seen_by_center: array<Receiver>;
+
+/// Of each receiver: how far its blockers are before it, added up, and how many were seen.
+@group(0) @binding(16) var<storage, read_write> blockers: array<vec2<f32>>;
+/// By pixel: V, E/E₀, the receiver's depth in the camera, and one more than what it lies on; 0 where there is none.
+@group(0) @binding(17) var<storage, read_write> shown: array<vec4<f32>>;
+/// By tile: gaps of receivers' blockers, added up in 2^-14 units, and of how many receivers.
+@group(0) @binding(19) var<storage, read_write> tile_gaps: array<array<atomic<u32>, 2>>;
+/// By tile: the side of the cells that the light is divided in for it, as a fraction of its own.
+@group(0) @binding(20) var<storage, read> sides: array<f32>;
+/// Of each receiver: V and E/E₀ smoothed.
+@group(0) @binding(18) var<storage, read_write> smoothed: array<vec2<f32>>;
+
+/// What a dispatch works on. Twin of `Job` in `techniques/adaptive.rs`.
+struct Job {
+    /// Points of the batch: the first, and how many.
+    first: u32,
+    count: u32,
+    /// The number of the first of them among all points.
+    number: u32,
+    /// Of the image, pixels.
+    width: u32,
+    /// Tiles a row, and in all.
+    tile_columns: u32,
+    tiles: u32,
+    /// Of the cell to compare, among those compared.
+    cell: u32,
+    padding: u32,
+    /// Points whose bytes stand for those that are not looked up; or those to compare: the first with the last, and the others.
+    others: vec4<u32>,
+    /// The light's normal, along which depths are.
+    normal: vec3<f32>,
+    /// From a place's depth from the origin to that from the light.
+    depth_offset: f32,
+    /// What the points to add count; or the weight of all points, and whether the light's axes u and v are divided.
+    counts: vec4<f32>,
+    /// Where they are, a column each: relative to the origin, directions of a distant light with 1 in w.
+    points: mat4x4<f32>,
+}
+
+/// Texels a side of the kernel.
+override kernel: u32;
+/// Whether emission is asked for.
+override irradiance: bool;
+/// Whether the mean blocker is kept.
+override filters: bool;
+
+/// Whether depths are compared by their ratio.
+override relative: bool;
+/// Depths that differ by less are the same, on the GPU's scale; or ratios by less than this from 1.
+override tolerance: f32;
+/// Sides of tiles, pixels.
+override tile_side: u32;
+
+fn tile_of(number: u32) -> u32 {
+    return number / job.width / tile_side * job.tile_columns + number % job.width / tile_side;
+}
+
+/// What a point is to a receiver whose byte is kept.
+fn kept(point: u32, id: u32) -> u32 {
+    return extractBits(planes[point / 4u * arrayLength(&receivers) + id], 8u * (point % 4u), 8u);
+}
+
+fn keep(point: u32, id: u32, found: u32) {
+    let at = point / 4u * arrayLength(&receivers) + id;
+    planes[at] = insertBits(planes[at], found, 8u * (point % 4u), 8u);
+}
+
+/// What a map tells a receiver.
+struct LookedUp {
+    /// How many texels of the kernel around its place let the point through; none below its horizon.
+    unblocked: u32,
+    /// How far the blockers are before it, along the light's normal, added up; and how many there are.
+    gaps: vec2<f32>,
+}
+
+fn note_blockers(id: u32, found: LookedUp) {
+    if (filters) {
+        blockers[id] += found.gaps;
+    }
+}
+
+fn looked_up(light_point: LightPoint, receiver: Receiver) -> LookedUp {
+    let index = face_toward(light_point, receiver.position - light_point.position);
+    let face = faces[index];
+    let to = to_light(light_point, receiver.position, face.distant == 1u);
+    if (dot(receiver.normal, to) <= 0.0) {
+        return LookedUp(0u, vec2(0.0));
+    }
+    let seen = on_face(face, receiver.position, receiver.normal);
+    let last = vec2<i32>(textureDimensions(shadow_depth)) - 1;
+    let at = (seen.at * face.window.xy + face.window.zw) * vec2<f32>(textureDimensions(shadow_depth));
+    // The kernel's middle is as near to the receiver's place as texels allow.
+    let low = vec2<i32>(floor(at - 0.5 * f32(kernel) + 0.5));
+    var found = LookedUp(0u, vec2(0.0));
+    for (var y = 0; y < i32(kernel); y++) {
+        for (var x = 0; x < i32(kernel); x++) {
+            // Beyond the edge of a cube's face the kernel takes the face's last texels.
+            let texel = clamp(low + vec2(x, y), vec2(0), last);
+            let at = texel_center(face, texel);
+            let stored = textureLoad(shadow_depth, texel, index, 0);
+            if (stored > max(unblocked_depth(face, seen, at), 0.0)) {
+                let gap = dot(emitter.normal, receiver.position - stored_position(face, at, stored));
+                found.gaps += vec2(max(gap, 0.0), 1.0);
+            } else {
+                found.unblocked += 1u;
+            }
+        }
+    }
+    return found;
+}
+
+/// What light points on a light emit: weight, and weight times emission.
+fn weighed(receiver: Receiver, normal: vec3<f32>, to: vec3<f32>, weight: f32) -> vec2<f32> {
+    if (!irradiance) {
+        return vec2(weight, 0.0);
+    }
+    return vec2(weight, weight * sample_weight(emission, normal, receiver.normal, receiver.shading_normal, to));
+}
+
+/// Takes the job's points for what others are to all receivers: those are looked up that need to be.
+@compute @workgroup_size(64)
+fn inherit(@builtin(global_invocation_id) id: vec3<u32>) {
+    if (id.x >= arrayLength(&receivers)) {
+        return;
+    }
+    for (var i = 0u; i < job.count; i++) {
+        keep(job.number + i, id.x, kept(job.others[i], id.x));
+    }
+}
+
+/// Looks the job's points up in the tiles that need them: four workgroups each.
+@compute @workgroup_size(64)
+fn look_up(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
+    let tile = needed[group.x / 4u];
+    let place = group.x % 4u * 64u + lane;
+    if (place >= tile.y) {
+        return;
+    }
+    let id = tile.x + place;
+    for (var i = 0u; i < job.count; i++) {
+        if (extractBits(tile.z, i, 1u) == 1u) {
+            let found = looked_up(points[job.first + i], receivers[id]);
+            keep(job.number + i, id, found.unblocked);
+            note_blockers(id, found);
+        }
+    }
+}
+
+/// Where along the light's normal what the job's points see in the direction of each receiver is; nothing there is the receiver itself.
+@compute @workgroup_size(64)
+fn measure(@builtin(global_invocation_id) id: vec3<u32>) {
+    if (id.x >= arrayLength(&receivers)) {
+        return;
+    }
+    let position = receivers[id.x].position;
+    for (var i = 0u; i < job.count; i++) {
+        let light_point = points[job.first + i];
+        let index = face_toward(light_point, position - light_point.position);
+        let face = faces[index];
+        let texel = texel_at(face, seen_at(in_view(face, position)));
+        let stored = textureLoad(shadow_depth, texel, index, 0);
+        var place = position;
+        if (stored > 0.0) {
+            place = stored_position(face, texel_center(face, texel), stored);
+        }
+        depths[(job.number + i) * arrayLength(&receivers) + id.x] = dot(job.normal, place);
+    }
+}
+
+/// Adds the job's points up as they come: all count the same.
+@compute @workgroup_size(64)
+fn accumulate(@builtin(global_invocation_id) id: vec3<u32>) {
+    if (id.x >= arrayLength(&receivers)) {
+        return;
+    }
+    for (var i = 0u; i < job.count; i++) {
+        sums[id.x] += of_point(points[job.first + i], id.x, 1.0);
+    }
+}
+
+/// Adds up all points of a batch, each by its weight.
+@compute @workgroup_size(64)
+fn evaluate(@builtin(global_invocation_id) id: vec3<u32>) {
+    if (id.x >= arrayLength(&receivers)) {
+        return;
+    }
+    var sum = sums[id.x];
+    for (var i = 0u; i < arrayLength(&points); i++) {
+        sum += of_point(points[i], id.x, weights[i]);
+    }
+    sums[id.x] = sum;
+}
+
+/// What a point adds to the sums.
+fn of_point(light_point: LightPoint, id: u32, weight: f32) -> vec4<f32> {
+    let receiver = receivers[id];
+    let distant = faces[light_point.first_face].distant == 1u;
+    let to = to_light(light_point, receiver.position, distant);
+    if (dot(receiver.normal, to) <= 0.0) {
+        return vec4(0.0);
+    }
+    let all = weighed(receiver, light_point.normal, to, weight);
+    let found = looked_up(light_point, receiver);
+    note_blockers(id, found);
+    let share = f32(found.unblocked) / f32(kernel * kernel);
+    return vec4(share * all, all);
+}
+
+/// Adds up the job's points from their bytes.
+@compute @workgroup_size(64)
+fn sum(@builtin(global_invocation_id) id: vec3<u32>) {
+    if (id.x >= arrayLength(&receivers)) {
+        return;
+    }
+    let receiver = receivers[id.x];
+    var sum = sums[id.x];
+    for (var i = 0u; i < job.count; i++) {
+        let place = job.points[i];
+        let to = select(place.xyz - receiver.position, place.xyz, place.w == 1.0);
+        if (dot(receiver.normal, to) <= 0.0) {
+            continue;
+        }
+        let all = weighed(receiver, job.normal, to, job.counts[i]);
+        let share = f32(kept(job.number + i, id.x)) / f32(kernel * kernel);
+        sum += vec4(share * all, all);
+    }
+    sums[id.x] = sum;
+}
+
+/// Counts, tile by tile, how much of a receiver some point of a cell or around it sees and another does not.
+@compute @workgroup_size(64)
+fn compare_visibility(@builtin(global_invocation_id) id: vec3<u32>) {
+    if (id.x >= arrayLength(&receivers)) {
+        return;
+    }
+    var most = kept(job.number, id.x);
+    var least = most;
+    for (var i = 0u; i < 4u; i++) {
+        let seen = kept(job.others[i], id.x);
+        most = max(most, seen);
+        least = min(least, seen);
+    }
+    let spread = most - least;
+    if (spread > 0u) {
+        atomicAdd(&differences[2u * job.cell * job.tiles + tile_of(receivers[id.x].number)], spread);
+    }
+}
+
+/// Counts, tile by tile and for either diagonal of a cell, where its ends see different depths.
+@compute @workgroup_size(64)
+fn compare_depths(@builtin(global_invocation_id) id: vec3<u32>) {
+    if (id.x >= arrayLength(&receivers)) {
+        return;
+    }
+    let first = 2u * job.cell * job.tiles + tile_of(receivers[id.x].number);
+    let at = job.others * arrayLength(&receivers) + id.x;
+    if (differ(depths[at.x], depths[at.w])) {
+        atomicAdd(&differences[first], 1u);
+    }
+    if (differ(depths[at.y], depths[at.z])) {
+        atomicAdd(&differences[first + job.tiles], 1u);
+    }
+}
+
+fn differ(a: f32, b: f32) -> bool {
+    if (!relative) {
+        return abs(a - b) >= tolerance;
+    }
+    // |1 - a/b| with both from the light.
+    return abs(b - a) >= tolerance * (b + job.depth_offset);
+}
+
+/// Shows every receiver's V and E/E₀ to its neighbours.
+@compute @workgroup_size(64)
+fn show(@builtin(global_invocation_id) id: vec3<u32>) {
+    if (id.x >= arrayLength(&receivers)) {
+        return;
+    }
+    let receiver = receivers[id.x];
+    let sum = sums[id.x];
+    let share = select(select(sum.x / sum.z, sum.y / sum.w, sum.w > 0.0), 1.0, sum.x == sum.z);
+    shown[receiver.number] = vec4(min(sum.x / job.counts.x, 1.0), share, depth_of(receiver.position), bitcast<f32>(receiver.instance + 1u));
+    let found = blockers[id.x];
+    if (found.y > 0.0) {
+        // A tile's 256 receivers stay below 2^32.
+        let tile = tile_of(receiver.number);
+        atomicAdd(&tile_gaps[tile][0], u32(min(found.x / found.y, 4.0) * GAP_SCALE));
+        atomicAdd(&tile_gaps[tile][1], 1u);
+    }
+}
+
+const GAP_SCALE: f32 = 0x1p14;
+
+/// Taps of the filter.
+const TAPS: u32 = 16u;
+
+/// The mean over the receivers around one that the shadows' edges would pass if each point of the light went through its cell: what
+/// a point of the light stands for. For parallel plates the steps between points become the ramps that they stand for.
+@compute @workgroup_size(64)
+fn smooth_out(@builtin(global_invocation_id) id: vec3<u32>) {
+    if (id.x >= arrayLength(&receivers)) {
+        return;
+    }
+    let receiver = receivers[id.x];
+    let own = shown[receiver.number];
+    smoothed[id.x] = own.xy;
+    let found = blockers[id.x];
+    var gap = found.x / found.y;
+    if (found.y == 0.0) {
+        // All that it was tested against let it see the light: what blocks its neighbours is near its penumbra.
+        let tile = tile_of(receiver.number);
+        let count = atomicLoad(&tile_gaps[tile][1]);
+        if (count == 0u) {
+            return;
+        }
+        gap = f32(atomicLoad(&tile_gaps[tile][0])) / (GAP_SCALE * f32(count));
+    }
+    // An axis that is not divided is whole.
+    let cell = select(vec2(1.0), vec2(sides[tile_of(receiver.number)]), job.counts.yz == vec2(1.0));
+    let own_px = middle_px(receiver.number);
+    let slope = slope_of(receiver.normal, own_px);
+    let sampler = sampler_of(0u, vec2(4u, 4u), 0u, 0u);
+    var sum = vec2(0.0);
+    var used = 0.0;
+    for (var i = 0u; i < TAPS; i++) {
+        let square = unit_square(sampler, i);
+        let uv = cell * select(2.0 * square - 1.0, disk_from_square(square), emitter.domain == 1u);
+        let shift_px = shadow_shift_px(receiver.position, receiver.normal, own.z, own_px, gap, uv);
+        let pixel = pixel_at(own_px + shift_px);
+        if (!is_on_screen(pixel)) {
+            continue;
+        }
+        let tap = shown[u32(pixel.y) * screen.size.x + u32(pixel.x)];
+        // At a contact depths alone are no telling.
+        let is_same = bitcast<u32>(tap.w) == receiver.instance + 1u;
+        if (is_same && is_on_plane(tap.z, own.z, slope, vec2<f32>(pixel) + 0.5 - own_px)) {
+            sum += tap.xy;
+            used += 1.0;
+        }
+    }
+    if (used > 0.0) {
+        smoothed[id.x] = sum / used;
+    }
+}
+
+/// The receivers of a comparison in the light centre's view: what a face of its map sees at each texel.
+@compute @workgroup_size(8, 8)
+fn unproject(@builtin(global_invocation_id) id: vec3<u32>) {
+    let size = textureDimensions(shadow_depth);
+    if (any(id.xy >= size)) {
+        return;
+    }
+    let face = faces[job.first];
+    let texel = vec2<i32>(id.xy);
+    let stored = textureLoad(shadow_depth, texel, job.first, 0);
+    var receiver: Receiver;
+    // Where there is nothing: the far end, which every point sees alike.
+    receiver.position = stored_position(face, texel_center(face, texel), stored);
+    receiver.number = id.y * size.x + id.x;
+    seen_by_center[receiver.number] = receiver;
+}

@@ -1,0 +1,512 @@
+// Soft shadows from one shadow map a frame. Scherzer, Schwärzler, Mattausch and Wimmer 2009, "Real-Time Soft Shadows Using Temporal
+// Coherence": each frame's map is seen from another point of the light, and its tests are added to those of the frames before,
+// fetched from where the receiver was on the screen.
+
+#import "lib/pcss.wgsl"
+#import "lib/screen.wgsl"
+
+/// 1 − ψ as it is shown.
+@group(0) @binding(4) var<storage, read_write> visibility: array<f32>;
+/// What the frame before has left and what this one leaves, by pixel: `Past` in words.
+@group(0) @binding(6) var<storage, read> history: array<u32>;
+@group(0) @binding(8) var<storage, read_write> next_history: array<u32>;
+@group(0) @binding(9) var<uniform> step: Step;
+@group(0) @binding(10) var<storage, read> arrivals: array<Arrival>;
+/// The moving casters alone, as the faces see them.
+@group(0) @binding(12) var moving_depth: texture_depth_2d_array;
+
+/// What happens from one frame to the next. Twin of `Step` in `techniques/temporal.rs`.
+struct Step {
+    /// Where a receiver's past lies: 0 it has none, 1 at its own pixel, 2 where its `Arrival` says.
+    source: u32,
+    /// Samples that are kept at most, as far as the light moves.
+    most: f32,
+    /// Lengths of the frame before in this one's unit.
+    rescale: f32,
+    padding: u32,
+    /// Of the frame before, pixels.
+    size: vec2<u32>,
+    /// How far depths of one surface may differ: times the depth, and at any depth.
+    past_tolerance: vec2<f32>,
+}
+
+/// Where a receiver was in the frame before. Twin of `Arrival` in `techniques/temporal.rs`.
+struct Arrival {
+    /// On the screen; far outside where it has no past.
+    at_px: vec2<f32>,
+    /// How its surface's plane goes on there: relative change of the inverse of its depth a pixel (of its depth, orthographic).
+    slope: vec2<f32>,
+    /// How far it has moved since.
+    motion: vec3<f32>,
+    /// Its depth there.
+    depth: f32,
+}
+
+override start_weight: f32;
+/// Whether blockers are searched for where a receiver has no past.
+override starts: bool;
+/// Error above which neighbours are averaged.
+override threshold: f32;
+/// 1: the paper's formulas and choices, each.
+override binomial: bool;
+override screen_disk: bool;
+override all_depths: bool;
+override printed: bool;
+override half_floats: bool;
+override resets: bool;
+override aging: bool;
+
+/// Tests that a receiver has been through.
+struct Past {
+    /// Those that found it in shadow, and all.
+    shadowed: f32,
+    count: f32,
+    /// Mean gap between it and its blockers, and what that mean weighs.
+    gap: f32,
+    blockers: f32,
+    /// What PCSS took the occlusion for when it came into view, and what that weighs.
+    seed: f32,
+    seed_weight: f32,
+    depth: f32,
+    /// Plus one.
+    instance: u32,
+}
+
+const NO_PAST = Past(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0u);
+
+/// Samples are halved here: below 2^24 f32 counts exactly, and so do halves of counts below 2^16.
+const MOST_SAMPLES: f32 = 65536.0;
+
+fn words() -> u32 {
+    return select(8u, 5u, half_floats);
+}
+
+fn stored(number: u32) -> Past {
+    let i = number * words();
+    if (half_floats) {
+        let a = unpack2x16float(history[i]);
+        let b = unpack2x16float(history[i + 1u]);
+        let c = unpack2x16float(history[i + 2u]);
+        let d = unpack2x16float(history[i + 3u]);
+        return Past(a.x, a.y, b.x, b.y, c.x, c.y, d.x, history[i + 4u]);
+    }
+    return Past(
+        bitcast<f32>(history[i]),
+        bitcast<f32>(history[i + 1u]),
+        bitcast<f32>(history[i + 2u]),
+        bitcast<f32>(history[i + 3u]),
+        bitcast<f32>(history[i + 4u]),
+        bitcast<f32>(history[i + 5u]),
+        bitcast<f32>(history[i + 6u]),
+        history[i + 7u],
+    );
+}
+
+fn store(number: u32, past: Past) {
+    let i = number * words();
+    if (half_floats) {
+        next_history[i] = pack2x16float(vec2(past.shadowed, past.count));
+        next_history[i + 1u] = pack2x16float(vec2(past.gap, past.blockers));
+        next_history[i + 2u] = pack2x16float(vec2(past.seed, past.seed_weight));
+        next_history[i + 3u] = pack2x16float(vec2(past.depth, 0.0));
+        next_history[i + 4u] = past.instance;
+        return;
+    }
+    next_history[i] = bitcast<u32>(past.shadowed);
+    next_history[i + 1u] = bitcast<u32>(past.count);
+    next_history[i + 2u] = bitcast<u32>(past.gap);
+    next_history[i + 3u] = bitcast<u32>(past.blockers);
+    next_history[i + 4u] = bitcast<u32>(past.seed);
+    next_history[i + 5u] = bitcast<u32>(past.seed_weight);
+    next_history[i + 6u] = bitcast<u32>(past.depth);
+    next_history[i + 7u] = past.instance;
+}
+
+/// What is stored at a pixel of the frame before, if it is of the receiver's surface: its plane, as deep as that is there.
+fn stored_of(arrival: Arrival, receiver: Receiver, pixel: vec2<i32>) -> Past {
+    if (any(pixel < vec2(0)) || any(pixel >= vec2<i32>(step.size))) {
+        return NO_PAST;
+    }
+    var past = stored(u32(pixel.y) * step.size.x + u32(pixel.x));
+    if (past.count == 0.0) {
+        return NO_PAST;
+    }
+    if (printed) {
+        // Eq. 4: |d_k − d_{k−1}| < ε, with d_k as it is now.
+        let depth = depth_of(receiver.position);
+        let is_same = abs(depth - past.depth * step.rescale) < step.past_tolerance.x * depth + step.past_tolerance.y;
+        if (!is_same) {
+            return NO_PAST;
+        }
+        return past;
+    }
+    let along = dot(arrival.slope, vec2<f32>(pixel) + 0.5 - arrival.at_px);
+    let depth = select(arrival.depth / (1.0 + along), arrival.depth + along, screen.orthographic == 1u);
+    let is_near = abs(depth - past.depth) <= step.past_tolerance.x * depth + step.past_tolerance.y;
+    if (!is_near || past.instance != receiver.instance + 1u) {
+        return NO_PAST;
+    }
+    return past;
+}
+
+/// Weights of four pixels in a row for a place between the middle two (Catmull and Rom 1974).
+fn cubic(t: f32) -> vec4<f32> {
+    let squared = t * t;
+    let cubed = squared * t;
+    return vec4(
+        squared - 0.5 * (t + cubed),
+        1.0 - 2.5 * squared + 1.5 * cubed,
+        0.5 * t + 2.0 * squared - 1.5 * cubed,
+        0.5 * (cubed - squared),
+    );
+}
+
+/// What is known of a receiver from the frames before, in this frame's unit. A light without size asks nothing of it: one test
+/// tells all.
+fn past_of(index: u32, receiver: Receiver) -> Past {
+    if (step.source == 0u || emitter.domain == 2u) {
+        return NO_PAST;
+    }
+    if (step.source == 1u) {
+        var past = stored(receiver.number);
+        past.gap *= step.rescale;
+        return past;
+    }
+    let arrival = arrivals[index];
+    if (printed) {
+        var past = stored_of(arrival, receiver, vec2<i32>(floor(arrival.at_px)));
+        past.gap *= step.rescale;
+        return past;
+    }
+    let corner = floor(arrival.at_px - 0.5);
+    let between = arrival.at_px - 0.5 - corner;
+    let linear_x = vec4(0.0, 1.0 - between.x, between.x, 0.0);
+    let linear_y = vec4(0.0, 1.0 - between.y, between.y, 0.0);
+    let cubic_x = cubic(between.x);
+    let cubic_y = cubic(between.y);
+    var sum = NO_PAST;
+    var whole = 0.0;
+    var shares = 0.0;
+    var is_whole = true;
+    for (var i = 0u; i < 16u; i++) {
+        let offset = vec2(i & 3u, i >> 2u);
+        let cubic_weight = cubic_x[offset.x] * cubic_y[offset.y];
+        if (cubic_weight == 0.0) {
+            continue;
+        }
+        let past = stored_of(arrival, receiver, vec2<i32>(corner) + vec2<i32>(offset) - 1);
+        if (past.count == 0.0) {
+            is_whole = false;
+            continue;
+        }
+        let share = past.shadowed / past.count;
+        shares += cubic_weight * share;
+        let weight = linear_x[offset.x] * linear_y[offset.y];
+        if (weight == 0.0) {
+            continue;
+        }
+        whole += weight;
+        sum.shadowed += weight * past.shadowed;
+        sum.count += weight * past.count;
+        sum.gap += weight * past.blockers * past.gap;
+        sum.blockers += weight * past.blockers;
+        sum.seed += weight * past.seed_weight * past.seed;
+        sum.seed_weight += weight * past.seed_weight;
+    }
+    // Past the border of what was seen the nearest pixels would be drawn along, a little farther each frame.
+    if (whole < 0.999) {
+        return NO_PAST;
+    }
+    sum.count /= whole;
+    // Linear weights blur a little more each frame, cubic ones keep edges; where one of the pixels is not of this surface there are
+    // only the former.
+    sum.shadowed = select(sum.shadowed / whole, sum.count * clamp(shares, 0.0, 1.0), is_whole);
+    sum.gap = step.rescale * select(sum.gap / sum.blockers, 0.0, sum.blockers == 0.0);
+    sum.blockers /= whole;
+    sum.seed = select(sum.seed / sum.seed_weight, 0.0, sum.seed_weight == 0.0);
+    sum.seed_weight /= whole;
+    return aged(sum, receiver, arrival.motion);
+}
+
+/// Penumbra widths by which the shadow of what is `gap` before a receiver moves across it when it moves, relative to the light.
+fn shift_of(gap: f32, receiver: Receiver, motion: vec3<f32>) -> f32 {
+    let distant = emitter.distant == 1u;
+    let to = select(emitter.center - receiver.position, emitter.center, distant);
+    let toward = dot(emitter.normal, to);
+    // Along the light's rays nothing changes but the scale of the shadow: what is left is across.
+    let across = motion - to * (dot(emitter.normal, motion) / toward);
+    let reach = widening(gap, receiver.position);
+    let squared = vec2(dot(emitter.half_u, emitter.half_u), dot(emitter.half_v, emitter.half_v));
+    let shift = vec2(dot(across, emitter.half_u), dot(across, emitter.half_v)) / (2.0 * reach * squared);
+    return length(shift);
+}
+
+/// Samples that a past may hold when each of them is `shift` penumbra widths off the next: the error of n samples is about
+/// ½ n^-¾, that of what they lag behind n·shift/2; the sum of their squares is least where n^3.5 = ¾/shift². From half a width on
+/// that is less than two samples, and none of them is of use.
+fn most_samples(shift: f32) -> f32 {
+    if (!(shift < 0.5)) {
+        return 0.0;
+    }
+    return max(pow(0.75 / (shift * shift), 2.0 / 7.0), 1.0);
+}
+
+/// A past whose shadows have moved is worth less.
+fn aged(past: Past, receiver: Receiver, motion: vec3<f32>) -> Past {
+    if (!aging) {
+        return past;
+    }
+    var most = step.most;
+    if (any(motion != vec3(0.0))) {
+        // Where no blocker is known there is no telling how near a shadow is.
+        most = min(most, select(most_samples(shift_of(past.gap, receiver, motion)), 0.0, past.blockers == 0.0));
+    }
+    return limited(past, most);
+}
+
+fn limited(past: Past, most: f32) -> Past {
+    let whole = past.count + past.seed_weight;
+    if (most < 1.0) {
+        return NO_PAST;
+    }
+    if (whole <= most) {
+        return past;
+    }
+    let kept = most / whole;
+    var limited = past;
+    limited.shadowed *= kept;
+    limited.count *= kept;
+    limited.seed_weight *= kept;
+    limited.blockers *= kept;
+    return limited;
+}
+
+/// One test of a map.
+struct Test {
+    shadowed: bool,
+    /// Whether something in the map blocks, and not the horizon.
+    blocked: bool,
+    /// Whether what blocks moves.
+    moving: bool,
+    gap: f32,
+}
+
+fn test_of(light_point: LightPoint, receiver: Receiver) -> Test {
+    let index = face_toward(light_point, receiver.position - light_point.position);
+    let face = faces[index];
+    let to = to_light(light_point, receiver.position, face.distant == 1u);
+    if (dot(receiver.normal, to) <= 0.0) {
+        return Test(true, false, false, 0.0);
+    }
+    let seen = on_face(face, receiver.position, receiver.normal);
+    let texel = texel_at(face, seen.at);
+    let at = texel_center(face, texel);
+    let depth = textureLoad(shadow_depth, texel, index, 0);
+    let blocked = depth > max(unblocked_depth(face, seen, at), 0.0);
+    // The same triangles through the same pipeline give the same depth, so the nearest moves if it is no nearer than what moves.
+    let moving = resets && blocked && textureLoad(moving_depth, texel, index, 0) >= depth;
+    return Test(blocked, blocked, moving, gap_of(face, at, depth, receiver.position));
+}
+
+/// A receiver without past, by this frame's map alone.
+fn begun(light_point: LightPoint, receiver: Receiver) -> Past {
+    let found = percentage_closer(light_point, receiver);
+    count(found.texels);
+    var past = NO_PAST;
+    past.gap = found.gap;
+    past.blockers = found.blockers;
+    past.seed = 1.0 - found.visibility;
+    past.seed_weight = start_weight;
+    if (screen_disk) {
+        // As the paper has it, PCSS counts as so many samples.
+        past.shadowed = past.seed * start_weight;
+        past.count = start_weight;
+        past.seed_weight = 0.0;
+        past.blockers = select(found.blockers, f32(search_taps), all_depths);
+    }
+    return past;
+}
+
+/// A past with one more test in it.
+fn with_test(before: Past, test: Test) -> Past {
+    var past = before;
+    if (past.count >= MOST_SAMPLES) {
+        past.shadowed *= 0.5;
+        past.count *= 0.5;
+        past.seed_weight *= 0.5;
+    }
+    past.count += 1.0;
+    past.shadowed += select(0.0, 1.0, test.shadowed);
+    // Eq. 7 over what blocks; as it is printed it takes every depth, and drifts to the receiver's own.
+    if (test.blocked || all_depths) {
+        past.blockers = min(past.blockers + 1.0, MOST_SAMPLES);
+        past.gap += (test.gap - past.gap) / past.blockers;
+    }
+    return as_stored(past);
+}
+
+/// A past as a frame leaves it to the next: several frames of a still image round as often as they would one by one.
+fn as_stored(before: Past) -> Past {
+    if (!half_floats) {
+        return before;
+    }
+    var past = before;
+    let tests = unpack2x16float(pack2x16float(vec2(past.shadowed, past.count)));
+    let blockers = unpack2x16float(pack2x16float(vec2(past.gap, past.blockers)));
+    let seed = unpack2x16float(pack2x16float(vec2(past.seed, past.seed_weight)));
+    past.shadowed = tests.x;
+    past.count = tests.y;
+    past.gap = blockers.x;
+    past.blockers = blockers.y;
+    past.seed = seed.x;
+    past.seed_weight = seed.y;
+    return past;
+}
+
+@compute @workgroup_size(64)
+fn accumulate(@builtin(global_invocation_id) id: vec3<u32>) {
+    if (id.x >= arrayLength(&receivers)) {
+        return;
+    }
+    let receiver = receivers[id.x];
+    var past = past_of(id.x, receiver);
+    var texels = 0u;
+    for (var i = 0u; i < arrayLength(&points); i++) {
+        let light_point = points[i];
+        let test = test_of(light_point, receiver);
+        texels += 1u;
+        let begins = starts && emitter.domain != 2u && (past.count == 0.0 || test.moving);
+        if (begins) {
+            past = as_stored(begun(light_point, receiver));
+            if (past.count > 0.0) {
+                continue;
+            }
+        }
+        past = with_test(past, test);
+    }
+    count(texels);
+    past.depth = depth_of(receiver.position);
+    past.instance = receiver.instance + 1u;
+    store(receiver.number, past);
+}
+
+/// Standard error of the share of samples in shadow.
+fn standard_error(past: Past) -> f32 {
+    if (binomial) {
+        // Eq. 3, 0/0 for a single sample, which table 1 makes 0; equal samples pass for certain.
+        let share = past.shadowed / past.count;
+        return select(sqrt(max(share * (1.0 - share), 0.0) / (past.count - 1.0)), 0.0, past.count <= 1.0);
+    }
+    // Of the posterior to Jeffreys' prior, beta(½, ½).
+    let a = past.shadowed + 0.5;
+    let b = past.count - past.shadowed + 0.5;
+    let whole = a + b;
+    return sqrt(a * b / (whole + 1.0)) / whole;
+}
+
+/// A Poisson disk: the largest least distance that a search has found, 0.52.
+const POISSON = array<vec2<f32>, 16>(
+    vec2(-0.403, -0.915),
+    vec2(-0.221, 0.968),
+    vec2(0.966, 0.257),
+    vec2(-0.993, -0.045),
+    vec2(-0.003, 0.048),
+    vec2(0.674, 0.734),
+    vec2(0.641, -0.757),
+    vec2(-0.834, -0.549),
+    vec2(-0.705, 0.700),
+    vec2(-0.334, -0.361),
+    vec2(0.196, -0.447),
+    vec2(-0.512, 0.183),
+    vec2(0.515, -0.016),
+    vec2(0.137, -0.990),
+    vec2(0.158, 0.575),
+    vec2(0.940, -0.323),
+);
+const TAPS: u32 = 16u;
+
+/// Samples of the last net of the sequence that is whole, a power of two: those beyond it lie unevenly, and lower the error by little.
+fn whole_net(samples: f32) -> f32 {
+    return exp2(floor(log2(max(samples, 1.0)) + 1.0e-3));
+}
+
+/// Size of the kernel after n samples, relative to the light: n^-¾, as the error of n points of the sequence falls, times this; by
+/// measurement (1/√n blurs the ends of penumbrae more than the points leave to be filled, n^-¾ alone leaves their steps).
+const KERNEL: f32 = 1.5;
+
+/// Where on the light's kernel, from its centre, a tap of the filter is: half axes in u and v.
+fn kernel_uv(sampler: Sampler, i: u32) -> vec2<f32> {
+    let square = unit_square(sampler, i);
+    return select(2.0 * square - 1.0, disk_from_square(square), emitter.domain == 1u);
+}
+
+/// A share of tests in shadow, and how many pixels it is of.
+struct Smoothed {
+    share: f32,
+    pixels: f32,
+}
+
+/// The mean of the neighbours' shares, by 16 taps; the receiver's own where none of them is of its surface.
+fn smoothed(receiver: Receiver, past: Past) -> Smoothed {
+    let own_px = middle_px(receiver.number);
+    let own = past.shadowed / past.count;
+    // The paper's filter takes surfaces for flat on the screen.
+    let slope = select(slope_of(receiver.normal, own_px), vec2(0.0), screen_disk);
+    let sampler = sampler_of(3u, vec2(4u, 4u), receiver.number, 2u);
+    let light_size = 2.0 * max(length(emitter.half_u), length(emitter.half_v));
+    var sum = 0.0;
+    var used = 0.0;
+    var others = 0.0;
+    for (var i = 0u; i < TAPS; i++) {
+        var offset_px: vec2<f32>;
+        if (screen_disk) {
+            // Eq. 6: the penumbra's width, as it is seen at the fragment's depth.
+            let reach = widening(past.gap, receiver.position);
+            let width_px = light_size * reach * screen.focal / select(past.depth, 1.0, screen.orthographic == 1u);
+            offset_px = 0.5 * width_px * POISSON[i];
+        } else {
+            // The light's shape, as much smaller as the samples leave out of it.
+            let uv = kernel_uv(sampler, i) * min(KERNEL * pow(whole_net(past.count), -0.75), 1.0);
+            offset_px = shadow_shift_px(receiver.position, receiver.normal, past.depth, own_px, past.gap, uv);
+        }
+        let pixel = pixel_at(own_px + offset_px);
+        if (!is_on_screen(pixel)) {
+            continue;
+        }
+        let tap = stored(u32(pixel.y) * screen.size.x + u32(pixel.x));
+        if (tap.count == 0.0) {
+            continue;
+        }
+        // At a contact depths alone are no telling.
+        let is_other = !screen_disk && tap.instance != past.instance;
+        if (is_other || !is_on_plane(tap.depth, past.depth, slope, vec2<f32>(pixel) + 0.5 - own_px)) {
+            continue;
+        }
+        sum += tap.shadowed / tap.count;
+        used += 1.0;
+        others += select(0.0, 1.0, any(pixel != vec2<i32>(floor(own_px))));
+    }
+    return Smoothed(select(sum / used, own, used == 0.0), max(others, 1.0));
+}
+
+@compute @workgroup_size(64)
+fn show(@builtin(global_invocation_id) id: vec3<u32>) {
+    if (id.x >= arrayLength(&receivers)) {
+        return;
+    }
+    let receiver = receivers[id.x];
+    let past = stored(receiver.number);
+    var shown = Smoothed(past.shadowed / past.count, f32(TAPS));
+    // Where no blocker is known there is no penumbra; a light without size has none.
+    let has_penumbra = past.blockers > 0.0 && emitter.domain != 2u;
+    if (has_penumbra && screen.size.x > 0u && standard_error(past) > threshold) {
+        shown = smoothed(receiver, past);
+    }
+    // The squared error of PCSS stays, that of n tests falls as n^-2 where edges run along the light's: inverse to these, PCSS weighs
+    // 1/n beside n. It falls with the pixels that it is smoothed over too, though neighbours err alike: by their root. Beside one test
+    // PCSS is all that is worth showing.
+    let seed_weight = past.seed_weight * sqrt(f32(TAPS) / shown.pixels) / whole_net(past.count);
+    let weighted = (shown.share * past.count + past.seed * seed_weight) / (past.count + seed_weight);
+    let occluded = select(weighted, past.seed, past.count <= 1.0 && past.seed_weight > 0.0);
+    visibility[id.x] = clamp(1.0 - occluded, 0.0, 1.0);
+}
