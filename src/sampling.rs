@@ -82,16 +82,21 @@ impl Sampler {
 
     /// Parameters of sample `index` on an emitter's domain, uniform over its area.
     pub fn on_emitter(&self, index: u32, emitter: &Emitter) -> DVec2 {
-        match emitter.domain {
-            Domain::Rect => 2.0 * self.unit_square(index) - 1.0,
-            Domain::Disk => disk_from_square(self.unit_square(index)),
-            Domain::Point => DVec2::ZERO,
-        }
+        on_domain(emitter.domain, self.unit_square(index))
     }
 
     fn in_cell(&self, index: u32, offset: DVec2) -> DVec2 {
         let cell = DVec2::new(f64::from(index % self.columns), f64::from(index / self.columns));
         (cell + offset) / DVec2::new(f64::from(self.columns), f64::from(self.rows))
+    }
+}
+
+/// Parameters of an emitter's domain for a point of the unit square, uniform over its area.
+pub fn on_domain(domain: Domain, square: DVec2) -> DVec2 {
+    match domain {
+        Domain::Rect => 2.0 * square - 1.0,
+        Domain::Disk => disk_from_square(square),
+        Domain::Point => DVec2::ZERO,
     }
 }
 

@@ -40,7 +40,7 @@ use crate::gpu::shader::Pipeline;
 use crate::gpu::shadow_map::{self, Keep, MapPoint, RenderedMaps, ShadowMaps, shown_areas};
 use crate::gpu::{self, Gpu};
 use crate::history::Shot;
-use crate::sampling::disk_from_square;
+use crate::sampling::on_domain;
 use crate::scene::light::{Domain, Emitter};
 use crate::scene::{AreaLight, Bounds, Shape};
 use crate::{Error, Result, gpu_struct};
@@ -619,12 +619,7 @@ impl<'a> Work<'a> {
         if tree.is_line() && is_upright(emitter) {
             square = DVec2::new(square.y, square.x);
         }
-        let uv = match emitter.domain {
-            Domain::Rect => 2.0 * square - 1.0,
-            Domain::Disk => disk_from_square(square),
-            Domain::Point => DVec2::ZERO,
-        };
-        MapPoint { position: emitter.at(uv), weight: 1.0 }
+        MapPoint { position: emitter.at(on_domain(emitter.domain, square)), weight: 1.0 }
     }
 
     /// Renders the maps of new points and reads them; of those that a division has added, in the tiles alone where the divided

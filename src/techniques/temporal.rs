@@ -7,7 +7,7 @@
 //! # What differs from the paper
 //! `paper` has its choices, and its faults as they are printed. Mended by default:
 //! - Eq. 4 compares depths of two cameras. Here a receiver's plane, as it lay in the frame before (moving instances by their own
-//!   transforms), is held against each of the four pixels around where it was, of the same instance, and these are weighted.
+//!   transforms), is held against the sixteen pixels around where it was, of the same instance, and these are weighted.
 //! - Eq. 3 is 0/0 for one sample and certain of equal ones. Here the error is that of the posterior to Jeffreys' prior.
 //! - PCSS and tests are kept apart: the one's weight falls as 1/n beside n tests, as inverse squared errors ask, and the filter, which
 //!   stands for the light that n tests have left out, widens nothing that PCSS has widened already.
@@ -44,7 +44,7 @@ use crate::gpu::{self, Gpu};
 use crate::gpu_struct;
 use crate::history::{Pose, Shot};
 use crate::receivers::Receiver;
-use crate::sampling::{Pattern, Sampler, disk_from_square, grid_of};
+use crate::sampling::{Pattern, Sampler, grid_of};
 use crate::scene::light::{Domain, Emitter};
 use crate::scene::{AreaLight, Bounds, Camera};
 
@@ -386,14 +386,7 @@ impl Built {
         };
         let sampler = Sampler::new(pattern, u32::MAX, 0, self.parameters.seed);
         let count = if is_one || emitter.domain == Domain::Point { 1 } else { self.parameters.frames };
-        let place = |index: u32| {
-            let uv = match emitter.domain {
-                Domain::Rect => 2.0 * sampler.unit_square(index) - 1.0,
-                Domain::Disk => disk_from_square(sampler.unit_square(index)),
-                Domain::Point => DVec2::ZERO,
-            };
-            MapPoint { position: emitter.at(uv), weight: 1.0 }
-        };
+        let place = |index: u32| MapPoint { position: emitter.at(sampler.on_emitter(index, emitter)), weight: 1.0 };
         // The sequence ends before u32 does.
         (0..count).map(|i| place((first + i) % (u32::MAX - 1))).collect()
     }

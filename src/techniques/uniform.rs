@@ -17,7 +17,7 @@ use crate::gpu::emission::Emission;
 use crate::gpu::light_view::{LightView, WORKGROUP, seen_of};
 use crate::gpu::shadow_map::{self, MapPoint, RenderedMaps, ShadowMaps};
 use crate::gpu::{self, Gpu};
-use crate::sampling::{Pattern, Sampler, disk_from_square, grid_of};
+use crate::sampling::{Pattern, Sampler, grid_of, on_domain};
 use crate::scene::AreaLight;
 use crate::scene::light::Domain;
 
@@ -138,11 +138,7 @@ impl Technique for Built {
             return Ok(LightView::image(None, frame, light, |_, _, _| (0.0, 0.0)));
         };
         let place = |(square, weight): (DVec2, u32)| {
-            let uv = match view.emitter.domain {
-                Domain::Rect => 2.0 * square - 1.0,
-                Domain::Disk => disk_from_square(square),
-                Domain::Point => DVec2::ZERO,
-            };
+            let uv = on_domain(view.emitter.domain, square);
             MapPoint { position: view.emitter.at(uv), weight: f64::from(weight) }
         };
         let mut points: Vec<MapPoint> = self.parameters.points().into_iter().map(place).collect();
