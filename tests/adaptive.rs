@@ -125,10 +125,12 @@ fn an_even_tree_is_uniform_sampling_at_the_corners_of_cells() {
                 ("equal", "array"),
                 ("equal", "accumulation"),
             ] {
+                // Read once, maps show the shadowed tiles alone: of a single one, all.
+                let size = if evaluation == "once" { [16, 12] } else { [40, 30] };
                 let settings = format!("{even} weights={weights} evaluation={evaluation}");
-                let found = view(&scene, corners(&settings).as_ref(), [40, 30]).lights.swap_remove(0);
+                let found = view(&scene, corners(&settings).as_ref(), size).lights.swap_remove(0);
                 let corners = format!("samples={samples} placement=corners weights={weights} map_size=128");
-                let expected = view(&scene, technique("uniform", &corners).as_ref(), [40, 30]).lights.swap_remove(0);
+                let expected = view(&scene, technique("uniform", &corners).as_ref(), size).lights.swap_remove(0);
                 assert_eq!(found.visibility, expected.visibility, "{spec} {shape} {settings}");
                 assert_eq!(found.shadow_maps, expected.shadow_maps, "{spec} {shape} {settings}");
             }
@@ -140,11 +142,18 @@ fn an_even_tree_is_uniform_sampling_at_the_corners_of_cells() {
 fn an_even_tree_of_centers_is_uniform_sampling_of_cells() {
     for (spec, shape) in [("square", "rect"), ("contact", "disk"), ("edge", "sphere"), ("square", "sun")] {
         let scene = build(&format!("{spec}?shape={shape}")).expect("builds").scene;
-        for (depth, samples) in [(0, 1), (1, 9), (2, 81)] {
-            let settings = format!("min_depth={depth} max_depth={depth} filter=false map_size=128");
-            let found = view(&scene, adaptive(&settings).as_ref(), [40, 30]).lights.swap_remove(0);
+        for (depth, samples, evaluation, size) in [
+            (0, 1, "once", [16, 12]),
+            (1, 9, "array", [40, 30]),
+            (1, 9, "once", [16, 12]),
+            (2, 81, "array", [40, 30]),
+            (2, 81, "once", [16, 12]),
+        ] {
+            let settings =
+                format!("min_depth={depth} max_depth={depth} filter=false map_size=128 evaluation={evaluation}");
+            let found = view(&scene, adaptive(&settings).as_ref(), size).lights.swap_remove(0);
             let uniform = technique("uniform", &format!("samples={samples} map_size=128"));
-            let expected = view(&scene, uniform.as_ref(), [40, 30]).lights.swap_remove(0);
+            let expected = view(&scene, uniform.as_ref(), size).lights.swap_remove(0);
             let differing = found.visibility.iter().zip(&expected.visibility).filter(|(a, b)| a != b).count();
             // (x + ½)/3^d is rounded in two ways: a receiver within 2^-24 of an edge may fall on either side.
             assert!(differing * 200 <= found.visibility.len(), "{spec} {shape} {depth}: {differing} differ");
@@ -424,6 +433,29 @@ fn compared_at_the_lights_centre_the_count_is_the_same_from_any_camera() {
     assert!(light.iter().all(|&count| count == light[0]) && light[0] > 4, "{light:?}");
     let camera = counts("camera");
     assert!(camera.iter().any(|&count| count != camera[0]), "{camera:?}");
+}
+
+#[test]
+fn what_nothing_can_shadow_takes_no_maps() {
+    let floor = mesh(&quad([-2.0, 2.0], 0.0, [-2.0, 2.0]));
+    let positions: Vec<DVec3> = line(-1.5, 1.5, 40);
+    for (light, what) in [
+        (square_light(0.5, 3.0), "square"),
+        (light_down(Shape::Sphere { radius: 0.5, facing: false }, [0.0, 3.0, 0.0]), "sphere"),
+        (light_down(Shape::Sun { angle: 0.1 }, [0.0, 3.0, 0.0]), "sun"),
+    ] {
+        // Below the floor something is hidden from view and blocks nothing.
+        let below = mesh(&quad([-1.0, 1.0], -1.0, [-1.0, 1.0]));
+        let image = &draw(&scene(vec![floor.clone(), below], vec![light]), &positions, adaptive("").as_ref())[0];
+        assert!(image.visibility.iter().all(|&v| v == 1.0) && image.shadow_maps == 0, "{what}: {image:?}");
+        assert!(image.irradiance_ratio.iter().all(|&share| share == 1.0), "{what}");
+    }
+    // Where its own tangent plane cuts the light, a receiver is looked at.
+    let beside = light_down(Shape::Rect { size: DVec2::ONE }, [0.0, 3.0, 0.0]);
+    let wall = receivers(&scene(vec![floor.clone()], vec![beside.clone()]), &[DVec3::new(0.1, 1.0, 0.0)], DVec3::X);
+    let image = &draw_receivers(&scene(vec![floor], vec![beside]), wall, adaptive("min_depth=2").as_ref())[0];
+    // Of nine columns of points, from −4/9 m to 4/9 m, those at 1/9, 2/9, 3/9 and 4/9 lie beyond x = .1 m.
+    assert!((image.visibility[0] - 4.0 / 9.0).abs() < 1e-6, "{image:?}");
 }
 
 // ------------------------------------------------------------------------------------------------------------------ cap

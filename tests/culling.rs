@@ -1,11 +1,16 @@
 //! What is left out of the hierarchy changes nothing: not one bit of an image rendered through a camera.
 
 mod common;
+#[expect(dead_code, reason = "it draws small scenes, and here its adapter alone is wanted")]
+#[path = "common/drawn.rs"]
+mod drawn;
 
 use common::{Random, SHAPES, mesh, quad, rays};
 use glam::{DAffine3, DVec2, DVec3};
 use penumbra::geometry::bvh::{SceneBvh, is_out_of_view};
 use penumbra::geometry::shaft::{Shaft, light_bounds};
+use penumbra::gpu::light_view::{LightView, TILE};
+use penumbra::gpu::scene::SceneBuffers;
 use penumbra::progress::Progress;
 use penumbra::receivers::Receivers;
 use penumbra::render::{Request, render};
@@ -199,6 +204,63 @@ fn no_shaft_excludes_a_box_that_a_shadow_ray_meets() {
         }
         // Most of a sun's ray lies outside the blockers.
         assert!(kept > if shape == "sun" { 500 } else { 4000 }, "{shape}: {kept}");
+    }
+}
+
+#[test]
+fn what_loses_light_to_a_caster_is_in_a_shadowed_tile() {
+    let mut random = Random(0x0c16);
+    let gpu = drawn::CONTEXT.gpu().expect("opens");
+    let technique = rays(Pattern::Sobol, 64);
+    let size = [96, 72];
+    for shape in SHAPES {
+        let (mut shadowed, mut tiles, mut darker) = (0, 0, 0);
+        for i in 0..12 {
+            // A few objects, a floor below them all, and a light above.
+            let mut scene = random.scene(4, 0.8, 1.5);
+            scene.nodes.push(Node { name: "floor".into(), parent: None });
+            scene.instances.push(Instance { mesh: scene.meshes.len(), node: 4, scene_from_mesh: DAffine3::IDENTITY });
+            scene.meshes.push(mesh(&quad([-6.0, 6.0], -2.5, [-6.0, 6.0])));
+            let mut light = random.light(shape);
+            light.scene_from_light.translation = 4.0 * random.direction() + 6.0 * DVec3::Y;
+            scene.add_light(light);
+            let eye = DVec3::new(random.between(-4.0, 4.0), random.between(0.0, 9.0), 7.0);
+            let scene_from_camera = look_at(eye, random.in_cube(1.0), DVec3::Y);
+            let projection = Projection::Perspective { fov_y: 0.9 };
+            let far = f64::INFINITY;
+            scene.cameras.push(Camera { name: "camera".into(), scene_from_camera, projection, near: 0.0, far });
+            scene.rebase();
+            let progress = Progress::default();
+            let mut bvh = SceneBvh::new(&scene);
+            bvh.add(|_| true);
+            let receivers =
+                Receivers::find(&bvh, &scene.cameras[0], size, DVec2::splat(0.5), &progress).expect("finds");
+            let buffers = SceneBuffers::new(&gpu, &scene).expect("fits");
+            let frame = Frame {
+                scene: &scene,
+                bvh: &bvh,
+                receivers: &receivers,
+                irradiance: false,
+                progress: &progress,
+                buffers: Some(&buffers),
+                shot: None,
+            };
+            let light = &scene.lights[0];
+            let Some(view) = LightView::new(&gpu, &frame, light).expect("fits") else { continue };
+            let found = view.shadowed_tiles(&frame, light);
+            let with = technique.render(&frame, light).expect("renders");
+            let unblocked = penumbra::scene::AreaLight { casts_shadow: false, ..light.clone() };
+            let without = technique.render(&frame, &unblocked).expect("renders");
+            for (pixel, (with, without)) in (0u32..).zip(with.visibility.iter().zip(&without.visibility)) {
+                let tile = pixel / size[0] / TILE * size[0].div_ceil(TILE) + pixel % size[0] / TILE;
+                darker += u32::from(with < without);
+                assert!(with == without || found.contains(&tile), "{shape} {i}: V = {with} of {without} at {pixel}");
+            }
+            shadowed += found.len();
+            tiles += view.tiles.len();
+        }
+        assert!(darker > 500, "{shape}: {darker} receivers in shadow");
+        assert!(4 * shadowed < 3 * tiles, "{shape}: {shadowed} of {tiles} tiles are shadowed");
     }
 }
 

@@ -53,7 +53,8 @@ struct Job {
     /// Of the cell to compare, among those compared.
     cell: u32,
     padding: u32,
-    /// Points whose bytes stand for those that are not looked up; or those to compare: the first with the last, and the others.
+    /// Points whose bytes stand for those that are not looked up, or SEEN_WHOLE; or those to compare: the first with the last, and
+    /// the others.
     others: vec4<u32>,
     /// The light's normal, along which depths are.
     normal: vec3<f32>,
@@ -145,6 +146,9 @@ fn weighed(receiver: Receiver, normal: vec3<f32>, to: vec3<f32>, weight: f32) ->
     return vec2(weight, weight * sample_weight(emission, normal, receiver.normal, receiver.shading_normal, to));
 }
 
+/// No point stands for one: what does not look it up sees it whole. Twin of `SEEN_WHOLE` in `techniques/adaptive.rs`.
+const SEEN_WHOLE: u32 = 0xffffffffu;
+
 /// Takes the job's points for what others are to all receivers: those are looked up that need to be.
 @compute @workgroup_size(64)
 fn inherit(@builtin(global_invocation_id) id: vec3<u32>) {
@@ -152,7 +156,12 @@ fn inherit(@builtin(global_invocation_id) id: vec3<u32>) {
         return;
     }
     for (var i = 0u; i < job.count; i++) {
-        keep(job.number + i, id.x, kept(job.others[i], id.x));
+        let other = job.others[i];
+        var found = kernel * kernel;
+        if (other != SEEN_WHOLE) {
+            found = kept(other, id.x);
+        }
+        keep(job.number + i, id.x, found);
     }
 }
 

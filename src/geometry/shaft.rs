@@ -50,6 +50,15 @@ impl Shaft {
         Self { union: a.union(*b), planes }
     }
 
+    /// Whether a box reaches nowhere inside: at most it touches the hull, as a floor does that all receivers lie on or above. It
+    /// blocks nothing then but segments within its own face.
+    pub fn holds_nothing_of(&self, bounds: &Bounds) -> bool {
+        // Far above the rounding of what lies on the box, far below what a map tells apart.
+        let slack = 1e-12 * bounds.min.abs().max(bounds.max.abs()).max_element();
+        let (min, max) = (bounds.min + slack, bounds.max - slack);
+        (min.cmpge(self.union.max) | max.cmple(self.union.min)).any() || self.excludes(bounds)
+    }
+
     /// Whether a box lies wholly outside; touching is inside.
     pub fn excludes(&self, bounds: &Bounds) -> bool {
         bounds.is_empty()
@@ -110,6 +119,18 @@ mod tests {
         assert!(shaft.excludes(&cube([8.0, 2.0, 0.0], 0.1)));
         assert!(shaft.excludes(&cube([2.0, 8.0, 0.0], 0.1)));
         assert!(shaft.excludes(&cube([5.0, 5.0, 3.0], 0.1)));
+    }
+
+    #[test]
+    fn a_floor_that_all_lies_on_is_outside_unless_the_light_reaches_below_it() {
+        let on_floor = Bounds { min: DVec3::new(-1.0, -1.0, 0.0), max: DVec3::new(1.0, 1.0, 0.5) };
+        let shaft = Shaft::between(&on_floor, &cube([0.0, 0.0, 5.0], 0.5));
+        let floor = |z: f64| Bounds { min: DVec3::new(-9.0, -9.0, z), max: DVec3::new(9.0, 9.0, z) };
+        assert!(shaft.holds_nothing_of(&floor(0.0)) && !shaft.excludes(&floor(0.0)));
+        assert!(shaft.holds_nothing_of(&floor(1e-12)));
+        assert!(!shaft.holds_nothing_of(&floor(1e-9)));
+        let shaft = Shaft::between(&on_floor, &cube([8.0, 0.0, 0.0], 0.5));
+        assert!(!shaft.holds_nothing_of(&floor(0.0)));
     }
 
     #[test]

@@ -1,5 +1,6 @@
 //! A light and the receivers that it faces, as shadow maps see them: in one frame around the light, in `f32`.
 
+use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
 
 use glam::{DVec2, DVec3, Vec3};
@@ -37,6 +38,9 @@ gpu_struct! {
 
 /// Sides of the tiles of pixels whose receivers are bounded together, pixels.
 pub const TILE: u32 = 16;
+
+/// Sides of the blocks of tiles that are held against all casters, tiles.
+const TILES_A_BLOCK: u32 = 8;
 
 /// A light with all that its maps need.
 #[derive(Debug)]
@@ -138,7 +142,7 @@ impl<'a> LightView<'a> {
         let scene_bounds = bounds.iter().copied().fold(Bounds::EMPTY, Bounds::union);
         let shaft = Shaft::between(&receiver_bounds, &light_bounds(light, &receiver_bounds, &scene_bounds));
         let blocks: Vec<bool> = (0..bounds.len() as u32).map(|i| linking.blocks(i)).collect();
-        let is_caster = |i: usize, bounds: &Bounds| light.casts_shadow && blocks[i] && !shaft.excludes(bounds);
+        let is_caster = |i: usize, bounds: &Bounds| light.casts_shadow && blocks[i] && !shaft.holds_nothing_of(bounds);
         let caster_bounds =
             (0..bounds.len()).filter(|&i| is_caster(i, &bounds[i])).fold(Bounds::EMPTY, |all, i| all.union(bounds[i]));
         let corners = caster_bounds.union(receiver_bounds).corners();
@@ -206,6 +210,74 @@ impl<'a> LightView<'a> {
             chunks,
             facing,
         }))
+    }
+
+    /// Casters, and what they could be but for the receivers all lying on it.
+    ///
+    /// # Errors
+    /// [`crate::Error::Gpu`] where it doesn't fit.
+    pub fn surfaces(&self, frame: &Frame, light: &AreaLight) -> Result<DrawList> {
+        let linking = Linking::of(frame.scene, light);
+        let shaft = self.shaft(light, &self.receiver_bounds);
+        let is_reached = |i: usize, bounds: &Bounds| linking.blocks(i as u32) && !shaft.excludes(&self.on_gpu(bounds));
+        self.buffers.draw_list(self.gpu, frame.scene, self.space, Part::Chunk, is_reached)
+    }
+
+    /// A box of the scene's on the GPU's scale.
+    fn on_gpu(&self, bounds: &Bounds) -> Bounds {
+        let DrawSpace { origin, unit } = self.space;
+        Bounds { min: (bounds.min - origin) / unit, max: (bounds.max - origin) / unit }
+    }
+
+    /// The numbers of the tiles in which something may hide some of the light from a receiver: a caster in the hull of the tile's
+    /// receivers and the light, or a receiver's own tangent plane. All other receivers see it whole.
+    pub fn shadowed_tiles(&self, frame: &Frame, light: &AreaLight) -> BTreeSet<u32> {
+        let columns = frame.receivers.size[0].div_ceil(TILE);
+        // Blocks of tiles first: most casters are nowhere near most tiles.
+        let mut blocks: BTreeMap<[u32; 2], Vec<(u32, Bounds)>> = BTreeMap::new();
+        for (&tile, &bounds) in self.tile_numbers.iter().zip(&self.tiles) {
+            blocks
+                .entry([tile % columns / TILES_A_BLOCK, tile / columns / TILES_A_BLOCK])
+                .or_default()
+                .push((tile, bounds));
+        }
+        let blocks: Vec<_> = blocks.into_values().collect();
+        let behind_casters = blocks.par_iter().flat_map_iter(|tiles| {
+            let shaft = self.shaft(light, &tiles.iter().map(|(_, bounds)| *bounds).fold(Bounds::EMPTY, Bounds::union));
+            let near: Vec<Bounds> = self.casters.parts().filter(|bounds| !shaft.holds_nothing_of(bounds)).collect();
+            let is_behind = move |(_, bounds): &&(u32, Bounds)| {
+                let shaft = self.shaft(light, bounds);
+                near.iter().any(|caster| !shaft.holds_nothing_of(caster))
+            };
+            tiles.iter().filter(is_behind).map(|(tile, _)| *tile)
+        });
+        let is_cut = |&number: &u32| {
+            let receiver = frame.receivers.pixels[number as usize].as_ref().expect("only hits face the light");
+            let Emitter { center, half_u, half_v, distant, .. } = self.emitter;
+            let from = if distant { DVec3::ZERO } else { (receiver.position - self.space.origin) / self.space.unit };
+            let normal = receiver.normal;
+            normal.dot(center - from) < normal.dot(half_u).abs() + normal.dot(half_v).abs()
+        };
+        let cut = self.chunks.par_iter().flat_map_iter(|chunk| {
+            let is_cut = |range: &Range<u32>| chunk.pixels[range.start as usize..range.end as usize].iter().any(is_cut);
+            chunk.tiles.iter().filter(move |(_, range)| is_cut(range)).map(|(tile, _)| *tile)
+        });
+        behind_casters.chain(cut).collect()
+    }
+
+    /// The hull of the light and a box, both on the GPU's scale.
+    fn shaft(&self, light: &AreaLight, receivers: &Bounds) -> Shaft {
+        let DrawSpace { origin, unit } = self.space;
+        let in_scene = |bounds: &Bounds| Bounds { min: origin + unit * bounds.min, max: origin + unit * bounds.max };
+        // A sun's box is beyond all that can block it.
+        let drawn = in_scene(&self.caster_bounds.union(self.receiver_bounds));
+        let mut lit_from = self.on_gpu(&light_bounds(light, &in_scene(receivers), &drawn));
+        let Emitter { center, half_u, half_v, distant, .. } = self.emitter;
+        if !distant {
+            let half = half_u.abs() + half_v.abs();
+            lit_from = lit_from.union(Bounds { min: center - half, max: center + half });
+        }
+        Shaft::between(receivers, &lit_from)
     }
 
     /// The image of a light: `answer` gives V and, if asked for, E/E₀ of the `i`th receiver of a chunk; where the light faces

@@ -193,9 +193,14 @@ impl DrawList {
         self.units.is_empty()
     }
 
+    /// Bounds of its parts, as its instances are placed.
+    pub fn parts(&self) -> impl Iterator<Item = Bounds> {
+        self.units.iter().map(|unit| unit.bounds)
+    }
+
     /// Bounds of what it holds, as its instances are placed.
     pub fn bounds(&self) -> Bounds {
-        self.units.iter().map(|unit| unit.bounds).fold(Bounds::EMPTY, Bounds::union)
+        self.parts().fold(Bounds::EMPTY, Bounds::union)
     }
 }
 

@@ -12,7 +12,7 @@
 //!   three along each side, so that a middle stays one;
 //! - with `evaluation=once` a point's answer is kept rather than its map, so that each map is read once, weights are known before they
 //!   are needed, and where a tile asks for no division nothing is looked up: maps of a division hold no more than the tiles that do,
-//!   at the same size of texels;
+//!   at the same size of texels. Tiles that nothing can shadow are not looked up at all;
 //! - `filter` averages V over the neighbours that a point's cell of the light would move shadows by, as far as the blockers found tell:
 //!   steps between points become the ramps that they stand for, where a wider kernel of texels (Section 3.4.3) would blur contacts.
 
@@ -239,6 +239,9 @@ const IN_WORD: usize = 4;
 /// Sides of maps are multiples of it, texels: divisions ask for many sizes.
 const SIZE_STEP: u32 = 32;
 
+/// Twin of `SEEN_WHOLE` in `techniques/adaptive.wgsl`.
+const SEEN_WHOLE: u32 = u32::MAX;
+
 fn build(context: &Context, given: &Parameters) -> Result<Box<dyn Technique>> {
     let parameters = parse_parameters::<Adaptive>(&ENTRY, given)?;
     let refuse =
@@ -316,6 +319,10 @@ impl Technique for Built {
         let (min_depth, max_depth) = if is_point { (0, 0) } else { (parameters.min_depth, parameters.max_depth) };
         let mut tree = Tree::new(parameters.points, is_line, min_depth, max_depth);
         let mut work = Work::new(parameters, frame, light, &view)?;
+        if work.skips() && work.shadowed.is_empty() {
+            frame.progress.advance(rows)?;
+            return Ok(work.image(|_, _| (1.0, 1.0)));
+        }
         let first: Vec<Added> =
             (0..if is_point { 1 } else { tree.len() }).map(|point| Added { point, cells: Vec::new() }).collect();
         work.add(&tree, &first, &[])?;
@@ -395,6 +402,8 @@ struct Work<'a> {
     points: Vec<MapPoint>,
     /// The light centre's view, where maps are compared there: the texels of each face.
     center: Vec<Chunk>,
+    /// Bounds of all that is in it.
+    surfaces: Bounds,
     /// What is known of the receivers, by chunk.
     known: Vec<Known<'a>>,
     /// Of each chunk of what compares: depths.
@@ -405,6 +414,8 @@ struct Work<'a> {
     emission: wgpu::Buffer,
     /// Texels read.
     texels: u64,
+    /// Tiles of the camera's in which something may hide some of the light.
+    shadowed: BTreeSet<u32>,
     /// How often the light has been divided for each tile of the camera's.
     tile_depths: Vec<u32>,
     shadow_maps: u32,
@@ -470,16 +481,21 @@ impl<'a> Work<'a> {
             view,
             points: Vec::new(),
             center: Vec::new(),
+            surfaces: Bounds::EMPTY,
             known: view.chunks.iter().map(known).collect::<Result<_>>()?,
             depths: Vec::new(),
             emitter: gpu.buffer("emitter", &[emitter_of(view)], wgpu::BufferUsages::UNIFORM)?,
             arrays: Vec::new(),
             emission: gpu.buffer("emission", &[Emission::of(light)], wgpu::BufferUsages::UNIFORM)?,
             texels: 0,
+            shadowed: BTreeSet::new(),
             tile_depths: Vec::new(),
             shadow_maps: 0,
             passes: Vec::new(),
         };
+        if work.skips() {
+            work.shadowed = view.shadowed_tiles(frame, light);
+        }
         work.tile_depths = vec![parameters.min_depth; work.job(frame.receivers.size).tiles as usize];
         if parameters.compare == View::Light {
             work.center = work.center_view()?;
@@ -579,7 +595,7 @@ impl<'a> Work<'a> {
     fn whole(&self) -> Vec<Bounds> {
         match self.parameters.compare {
             View::Camera => self.view.tiles.clone(),
-            View::Light => vec![self.view.caster_bounds.union(self.view.receiver_bounds)],
+            View::Light => vec![self.surfaces],
         }
     }
 
@@ -587,7 +603,9 @@ impl<'a> Work<'a> {
     fn center_view(&mut self) -> Result<Vec<Chunk>> {
         let gpu = self.view.gpu;
         let center = [MapPoint { position: self.view.emitter.center, weight: 1.0 }];
-        let maps = ShadowMaps::new(self.view, &center, &self.whole(), CENTER_SIZE, 0)?;
+        let surfaces = self.view.surfaces(self.frame, self.light)?;
+        self.surfaces = surfaces.bounds().union(self.view.receiver_bounds);
+        let maps = ShadowMaps::of(self.view, &surfaces, &center, &self.whole(), [CENTER_SIZE, 0], Keep::One)?;
         let count = CENTER_SIZE.pow(2);
         let bytes = u64::from(count) * size_of::<GpuReceiver>() as u64;
         let pipeline = self.pipeline("unproject");
@@ -622,19 +640,24 @@ impl<'a> Work<'a> {
         MapPoint { position: emitter.at(on_domain(emitter.domain, square)), weight: 1.0 }
     }
 
-    /// Renders the maps of new points and reads them; of those that a division has added, in the tiles alone where the divided
-    /// cells differ.
+    /// Renders the maps of new points and reads them, in the tiles alone that something may shadow; of those that a division has
+    /// added, where the divided cells differ.
     fn add(&mut self, tree: &Tree, added: &[Added], divided: &[Compared]) -> Result<()> {
         let Adaptive { kernel, map_size, evaluation, .. } = *self.parameters;
         let gpu = self.view.gpu;
         let points: Vec<MapPoint> = added.iter().map(|added| self.map_point(tree, added.point)).collect();
         let margin = if kernel > 1 { kernel / 2 + 1 } else { 0 };
-        let skips = self.skips() && !divided.is_empty();
+        let skips = self.skips();
         // Of each point: the tiles that need it.
-        let needed: Vec<BTreeSet<u32>> = added
-            .iter()
-            .map(|added| added.cells.iter().flat_map(|&cell| divided[cell].tiles.iter().copied()).collect())
-            .collect();
+        let needed = |added: &Added| -> BTreeSet<u32> {
+            let near = added.cells.iter().flat_map(|&cell| &divided[cell].tiles).copied();
+            if divided.is_empty() {
+                self.shadowed.clone()
+            } else {
+                near.filter(|tile| self.shadowed.contains(tile)).collect()
+            }
+        };
+        let needed: Vec<BTreeSet<u32>> = added.iter().map(needed).collect();
         let (boxes, size) = if skips { self.cropped(&points, &needed, margin) } else { (self.whole(), map_size) };
         self.check_memory(points.len(), size)?;
         self.count(added.len(), skips.then_some(&needed[..]));
@@ -661,7 +684,8 @@ impl<'a> Work<'a> {
                 };
                 if skips {
                     for (i, &point) in group.iter().enumerate() {
-                        job.others[i] = divided[added[point].cells[0]].cell.points[0] as u32;
+                        let around = added[point].cells.first();
+                        job.others[i] = around.map_or(SEEN_WHOLE, |&cell| divided[cell].cell.points[0] as u32);
                     }
                 }
                 let needed = if skips { Some(&needed[group[0]..group[0] + group.len()]) } else { None };
@@ -683,15 +707,19 @@ impl<'a> Work<'a> {
         let is_needed = |tile: &u32| needed.iter().any(|needed| needed.contains(tile));
         let tiles = self.view.tile_numbers.iter().zip(&self.view.tiles);
         let boxes: Vec<Bounds> = tiles.filter(|(tile, _)| is_needed(tile)).map(|(_, bounds)| *bounds).collect();
+        if boxes.len() == self.view.tiles.len() {
+            return (boxes, size);
+        }
         // Points of one light see much the same: few of them tell how fine maps of all receivers are.
         let few = &points[..points.len().min(4)];
         let whole = shown_areas(self.view, few, &self.whole(), [size, margin]);
         let mean = whole.iter().sum::<f64>() / whole.len() as f64;
-        let largest = shown_areas(self.view, points, &boxes, [size, margin]).into_iter().fold(0.0, f64::max);
-        let same = (f64::from(size) * (largest / mean).sqrt()).ceil() as u32;
-        // One map may stand for the four faces of a cube that hold all.
-        let most = (2 * size).min(self.view.gpu.device.limits().max_texture_dimension_2d);
-        (boxes, same.next_multiple_of(SIZE_STEP).min(most))
+        let areas = shown_areas(self.view, points, &boxes, [size, margin]);
+        let same = (f64::from(size) * (areas.iter().copied().fold(0.0, f64::max) / mean).sqrt()).ceil() as u32;
+        // One map may stand for the four faces of a cube that hold all, but they have no more texels.
+        let maps_a_point = [whole.len() as f64 / few.len() as f64, areas.len() as f64 / points.len() as f64];
+        let most = (f64::from(size) * (maps_a_point[0] / maps_a_point[1]).max(1.0).sqrt()) as u32;
+        (boxes, same.next_multiple_of(SIZE_STEP).min(most).min(self.view.gpu.device.limits().max_texture_dimension_2d))
     }
 
     /// Records what reads the maps of a job's points; `needed` are the tiles that need each of them, if not all do.
