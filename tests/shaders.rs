@@ -84,16 +84,17 @@ fn every_technique_is_registered_and_has_its_shader() {
     let techniques = files_below("src/techniques");
     let shaders: Vec<&str> = SOURCES.iter().filter_map(|(path, _)| path.strip_prefix("techniques/")).collect();
     for file in techniques.iter().filter(|file| source_of(&format!("techniques/{file}")).contains("pub const ENTRY:")) {
-        let stem = file.trim_end_matches(".rs");
+        let stem = file.trim_end_matches(".rs").replace('_', "-");
         assert!(ALL.iter().any(|entry| entry.name == stem), "{file} is not in ALL");
     }
     for entry in ALL {
-        assert!(techniques.contains(&format!("{}.rs", entry.name)), "{} is not in a file of its name", entry.name);
-        let has_shader = shaders.contains(&format!("{}.wgsl", entry.name).as_str());
+        let stem = entry.name.replace('-', "_");
+        assert!(techniques.contains(&format!("{stem}.rs")), "{} is not in a file of its name", entry.name);
+        let has_shader = shaders.contains(&format!("{stem}.wgsl").as_str());
         assert_eq!(has_shader, entry.needs == Needs::Gpu, "{}: a shader of its name, for a GPU alone", entry.name);
     }
     for shader in shaders {
-        let stem = shader.trim_end_matches(".wgsl");
+        let stem = shader.trim_end_matches(".wgsl").replace('_', "-");
         assert!(ALL.iter().any(|entry| entry.name == stem), "techniques/{shader} is of no technique");
     }
 }

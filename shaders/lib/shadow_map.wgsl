@@ -74,6 +74,17 @@ fn texel_at(face: Face, at: vec2<f32>) -> vec2<i32> {
     return vec2<i32>(clamp(floor((at * face.window.xy + face.window.zw) * size), vec2(0.0), size - 1.0));
 }
 
+/// Texels of a map, from the first to the last of each axis.
+struct Texels {
+    first: vec2<i32>,
+    last: vec2<i32>,
+}
+
+/// The last texel of a map.
+fn map_last() -> vec2<i32> {
+    return vec2<i32>(textureDimensions(shadow_depth)) - 1;
+}
+
 /// Where a face's view sees a texel's centre.
 fn texel_center(face: Face, texel: vec2<i32>) -> vec2<f32> {
     let size = vec2<f32>(textureDimensions(shadow_depth));
@@ -104,6 +115,12 @@ fn plane_normal(normal: vec3<f32>, to: vec3<f32>) -> vec3<f32> {
     return select(normalize(to), normal, dot(normal, to) > 0.0);
 }
 
+/// Whether a receiver's tangent plane, moved towards the light, passes the light point: then nothing blocks.
+fn passes_light(face: Face, seen: OnFace) -> bool {
+    let offset = dot(seen.normal, vec3(seen.view.across, seen.view.z));
+    return select(offset + seen.rise, seen.normal.z, face.distant == 1u) >= 0.0;
+}
+
 /// Depth in the map up to which nothing at a place of the view blocks a receiver: that of its tangent plane there, moved
 /// towards the light. Where the plane so moved passes the light point, nothing does.
 fn unblocked_depth(face: Face, seen: OnFace, at: vec2<f32>) -> f32 {
@@ -111,7 +128,7 @@ fn unblocked_depth(face: Face, seen: OnFace, at: vec2<f32>) -> f32 {
     if (face.distant == 1u) {
         // n . (x, y, along) is constant on the plane; n.z < 0 where it faces the light.
         let along = seen.view.along + (seen.rise - delta) / seen.normal.z;
-        return select(face.depth_scale * (face.far - along), 1.0e30, seen.normal.z >= 0.0);
+        return select(face.depth_scale * (face.far - along), 1.0e30, passes_light(face, seen));
     }
     // z n . (x/z, y/z, 1) is constant on the plane: `offset`, negative where it faces the light. All relative to the receiver,
     // so that no digits are lost far from the light.
@@ -121,7 +138,7 @@ fn unblocked_depth(face: Face, seen: OnFace, at: vec2<f32>) -> f32 {
     let behind = z * (seen.rise / offset - tilt);
     let depth = face.depth_scale * (face.far - seen.view.along - behind) / (seen.view.z + behind);
     // A plane that this ray of the map misses is beyond all that the map sees.
-    return select(select(depth, 0.0, tilt <= -1.0), 1.0e30, offset + seen.rise >= 0.0);
+    return select(select(depth, 0.0, tilt <= -1.0), 1.0e30, passes_light(face, seen));
 }
 
 /// Whether the map holds something between the light point and a receiver at a texel.

@@ -4,11 +4,8 @@
 // What a point of the light is to a receiver is kept in a byte, so that a map is read once and need not be kept: how many of the
 // kernel's texels let it through, four points in a word.
 
-#import "lib/shadow_map.wgsl"
-#import "lib/emission.wgsl"
-#import "lib/emitter.wgsl"
-#import "lib/sampling.wgsl"
-#import "lib/screen.wgsl"
+#import "lib/look_up.wgsl"
+#import "lib/smooth.wgsl"
 
 /// By plane and receiver: four points' bytes.
 @group(0) @binding(4) var<storage, read_write> planes: array<u32>;
@@ -21,7 +18,6 @@
 @group(0) @binding(9) var<storage, read_write> differences: array<atomic<u32>>;
 /// Weights of the points seen and of all above the horizon, and those weights times what the points emit towards the receiver.
 @group(0) @binding(10) var<storage, read_write> sums: array<vec4<f32>>;
-@group(0) @binding(15) var<uniform> emission: Emission;
 /// Of each point of a batch.
 @group(0) @binding(12) var<storage, read> weights: array<f32>;
 /// What the light's centre sees: the receivers of a comparison there.
@@ -29,10 +25,6 @@
 
 /// Of each receiver: how far its blockers are before it, added up, and how many were seen.
 @group(0) @binding(16) var<storage, read_write> blockers: array<vec2<f32>>;
-/// By pixel: V, E/E₀, the receiver's depth in the camera, and one more than what it lies on; 0 where there is none.
-@group(0) @binding(17) var<storage, read_write> shown: array<vec4<f32>>;
-/// By tile: gaps of receivers' blockers, added up in 2^-14 units, and of how many receivers.
-@group(0) @binding(19) var<storage, read_write> tile_gaps: array<array<atomic<u32>, 2>>;
 /// By tile: the side of the cells that the light is divided in for it, as a fraction of its own.
 @group(0) @binding(20) var<storage, read> sides: array<f32>;
 /// Of each receiver: V and E/E₀ smoothed.
@@ -66,10 +58,6 @@ struct Job {
     points: mat4x4<f32>,
 }
 
-/// Texels a side of the kernel.
-override kernel: u32;
-/// Whether emission is asked for.
-override irradiance: bool;
 /// Whether the mean blocker is kept.
 override filters: bool;
 
@@ -94,56 +82,10 @@ fn keep(point: u32, id: u32, found: u32) {
     planes[at] = insertBits(planes[at], found, 8u * (point % 4u), 8u);
 }
 
-/// What a map tells a receiver.
-struct LookedUp {
-    /// How many texels of the kernel around its place let the point through; none below its horizon.
-    unblocked: u32,
-    /// How far the blockers are before it, along the light's normal, added up; and how many there are.
-    gaps: vec2<f32>,
-}
-
 fn note_blockers(id: u32, found: LookedUp) {
     if (filters) {
         blockers[id] += found.gaps;
     }
-}
-
-fn looked_up(light_point: LightPoint, receiver: Receiver) -> LookedUp {
-    let index = face_toward(light_point, receiver.position - light_point.position);
-    let face = faces[index];
-    let to = to_light(light_point, receiver.position, face.distant == 1u);
-    if (dot(receiver.normal, to) <= 0.0) {
-        return LookedUp(0u, vec2(0.0));
-    }
-    let seen = on_face(face, receiver.position, receiver.normal);
-    let last = vec2<i32>(textureDimensions(shadow_depth)) - 1;
-    let at = (seen.at * face.window.xy + face.window.zw) * vec2<f32>(textureDimensions(shadow_depth));
-    // The kernel's middle is as near to the receiver's place as texels allow.
-    let low = vec2<i32>(floor(at - 0.5 * f32(kernel) + 0.5));
-    var found = LookedUp(0u, vec2(0.0));
-    for (var y = 0; y < i32(kernel); y++) {
-        for (var x = 0; x < i32(kernel); x++) {
-            // Beyond the edge of a cube's face the kernel takes the face's last texels.
-            let texel = clamp(low + vec2(x, y), vec2(0), last);
-            let at = texel_center(face, texel);
-            let stored = textureLoad(shadow_depth, texel, index, 0);
-            if (stored > max(unblocked_depth(face, seen, at), 0.0)) {
-                let gap = dot(emitter.normal, receiver.position - stored_position(face, at, stored));
-                found.gaps += vec2(max(gap, 0.0), 1.0);
-            } else {
-                found.unblocked += 1u;
-            }
-        }
-    }
-    return found;
-}
-
-/// What light points on a light emit: weight, and weight times emission.
-fn weighed(receiver: Receiver, normal: vec3<f32>, to: vec3<f32>, weight: f32) -> vec2<f32> {
-    if (!irradiance) {
-        return vec2(weight, 0.0);
-    }
-    return vec2(weight, weight * sample_weight(emission, normal, receiver.normal, receiver.shading_normal, to));
 }
 
 /// No point stands for one: what does not look it up sees it whole. Twin of `SEEN_WHOLE` in `techniques/adaptive.rs`.
@@ -317,66 +259,23 @@ fn show(@builtin(global_invocation_id) id: vec3<u32>) {
     let sum = sums[id.x];
     let share = select(select(sum.x / sum.z, sum.y / sum.w, sum.w > 0.0), 1.0, sum.x == sum.z);
     shown[receiver.number] = vec4(min(sum.x / job.counts.x, 1.0), share, depth_of(receiver.position), bitcast<f32>(receiver.instance + 1u));
-    let found = blockers[id.x];
-    if (found.y > 0.0) {
-        // A tile's 256 receivers stay below 2^32.
-        let tile = tile_of(receiver.number);
-        atomicAdd(&tile_gaps[tile][0], u32(min(found.x / found.y, 4.0) * GAP_SCALE));
-        atomicAdd(&tile_gaps[tile][1], 1u);
-    }
+    note_gap(tile_of(receiver.number), blockers[id.x]);
 }
 
-const GAP_SCALE: f32 = 0x1p14;
-
-/// Taps of the filter.
-const TAPS: u32 = 16u;
-
-/// The mean over the receivers around one that the shadows' edges would pass if each point of the light went through its cell: what
-/// a point of the light stands for. For parallel plates the steps between points become the ramps that they stand for.
+/// Averages V over what a cell of the light stands for.
 @compute @workgroup_size(64)
 fn smooth_out(@builtin(global_invocation_id) id: vec3<u32>) {
     if (id.x >= arrayLength(&receivers)) {
         return;
     }
     let receiver = receivers[id.x];
-    let own = shown[receiver.number];
-    smoothed[id.x] = own.xy;
-    let found = blockers[id.x];
-    var gap = found.x / found.y;
-    if (found.y == 0.0) {
-        // All that it was tested against let it see the light: what blocks its neighbours is near its penumbra.
-        let tile = tile_of(receiver.number);
-        let count = atomicLoad(&tile_gaps[tile][1]);
-        if (count == 0u) {
-            return;
-        }
-        gap = f32(atomicLoad(&tile_gaps[tile][0])) / (GAP_SCALE * f32(count));
-    }
-    // An axis that is not divided is whole.
-    let cell = select(vec2(1.0), vec2(sides[tile_of(receiver.number)]), job.counts.yz == vec2(1.0));
-    let own_px = middle_px(receiver.number);
-    let slope = slope_of(receiver.normal, own_px);
-    let sampler = sampler_of(0u, vec2(4u, 4u), 0u, 0u);
-    var sum = vec2(0.0);
-    var used = 0.0;
-    for (var i = 0u; i < TAPS; i++) {
-        let square = unit_square(sampler, i);
-        let uv = cell * select(2.0 * square - 1.0, disk_from_square(square), emitter.domain == 1u);
-        let shift_px = shadow_shift_px(receiver.position, receiver.normal, own.z, own_px, gap, uv);
-        let pixel = pixel_at(own_px + shift_px);
-        if (!is_on_screen(pixel)) {
-            continue;
-        }
-        let tap = shown[u32(pixel.y) * screen.size.x + u32(pixel.x)];
-        // At a contact depths alone are no telling.
-        let is_same = bitcast<u32>(tap.w) == receiver.instance + 1u;
-        if (is_same && is_on_plane(tap.z, own.z, slope, vec2<f32>(pixel) + 0.5 - own_px)) {
-            sum += tap.xy;
-            used += 1.0;
-        }
-    }
-    if (used > 0.0) {
-        smoothed[id.x] = sum / used;
+    let tile = tile_of(receiver.number);
+    smoothed[id.x] = shown[receiver.number].xy;
+    let gap = gap_at(tile, blockers[id.x]);
+    if (gap >= 0.0) {
+        // An axis that is not divided is whole.
+        let cell = select(vec2(1.0), vec2(sides[tile]), job.counts.yz == vec2(1.0));
+        smoothed[id.x] = smooth_over(receiver, gap, cell, 1.0);
     }
 }
 

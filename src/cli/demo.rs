@@ -31,7 +31,7 @@ pub struct Arguments {
 /// Size of a panel's picture, pixels.
 const PANEL: [u32; 2] = [400, 300];
 /// Height of a panel's caption, pixels.
-const CAPTION: u32 = 46;
+const CAPTION: u32 = 65;
 /// Space between panels, pixels.
 const GAP: u32 = 12;
 const COLUMNS: u32 = 4;
@@ -44,7 +44,8 @@ const ENLARGED: u32 = 3;
 /// A picture of the sheet with its caption.
 struct Panel {
     picture: RgbImage,
-    caption: [String; 2],
+    /// What it shows, by which settings, how fast and how well.
+    caption: [String; 3],
 }
 
 /// Runs the command.
@@ -60,7 +61,7 @@ pub fn run(arguments: &Arguments, progress: &Progress) -> anyhow::Result<()> {
     write_png(&directory.join("shaded.png"), shaded_picture.clone())?;
     let mut panels = vec![Panel {
         picture: shaded_picture,
-        caption: ["all lights, Lambertian surfaces".into(), format!("exact, 4 receivers a pixel, {}", elapsed(start))],
+        caption: ["all lights, Lambertian surfaces".into(), "exact, 4 receivers a pixel".into(), elapsed(start)],
     }];
 
     // Visibility is a light's own: the sheet shows the first one's.
@@ -75,10 +76,10 @@ pub fn run(arguments: &Arguments, progress: &Progress) -> anyhow::Result<()> {
     write_exr(&directory.join("reference.exr"), &truth)?;
     panels.push(Panel {
         picture: picture_of(&truth),
-        caption: [format!("reference: V of light {light:?}"), format!("exact, {}", elapsed(start))],
+        caption: [format!("reference: V of light {light:?}"), "exact".into(), elapsed(start)],
     });
 
-    let mut text = format!("{:<34} {:>9} {:>9} {:>9}\n", "technique", "time", "RMSE", "largest");
+    let mut text = format!("{:<50} {:>9} {:>9} {:>9}\n", "technique", "time", "RMSE", "largest");
     let context = Context::default();
     let (shown, left_out): (Vec<&Entry>, Vec<&Entry>) =
         ALL.iter().partition(|entry| entry.needs == Needs::Cpu || context.gpu().is_ok());
@@ -89,15 +90,15 @@ pub fn run(arguments: &Arguments, progress: &Progress) -> anyhow::Result<()> {
             let start = Instant::now();
             let image = run_one(entry.name, progress, &scene, &camera, technique.as_ref(), Quantity::Visibility, 1)?;
             let time = elapsed(start);
-            let file = format!("{}.exr", label.replace([' ', '='], "-"));
+            let file = format!("{}.exr", label.replace([' ', '=', '/'], "-"));
             write_exr(&directory.join(file), &image)?;
             let report = metrics::compare(&image, &truth, &[Mask::Penumbra])?;
             let errors = &report.lights[0].masks[&Mask::Penumbra];
             let number = |value: Option<f64>| value.map_or_else(|| "-".into(), |value| format!("{value:.4}"));
             let (rmse, largest) = (number(errors.rmse), number(errors.max));
-            text += &format!("{label:<34} {time:>9} {rmse:>9} {largest:>9}\n");
-            panels
-                .push(Panel { picture: picture_of(&image), caption: [label, format!("{time}, penumbra RMSE {rmse}")] });
+            text += &format!("{label:<50} {time:>9} {rmse:>9} {largest:>9}\n");
+            let caption = [entry.name.into(), (*settings).into(), format!("{time}, penumbra RMSE {rmse}")];
+            panels.push(Panel { picture: picture_of(&image), caption });
         }
     }
     if !left_out.is_empty()

@@ -4,6 +4,7 @@ use glam::{DVec3, Vec3};
 
 use super::Gpu;
 use super::light_view::{LightView, WORKGROUP, fraction_above};
+use super::min_max::{Bounded, MinMax};
 use super::shader::Constants;
 use super::shadow_map::{self, MapPoint, ShadowMaps};
 use crate::Result;
@@ -44,17 +45,57 @@ pub struct Settings<'a> {
     pub filters: bool,
 }
 
+/// The min–max pyramid over such a map.
+#[derive(Debug, Clone, Copy)]
+pub struct Pyramid {
+    /// What its nodes bound.
+    pub bounded: Bounded,
+    /// Whether the map looks along the light's normal, where it can, rather than towards the middle of the receivers.
+    pub along_light: bool,
+}
+
 /// The image of a light.
 ///
 /// # Errors
 /// What does not fit the GPU, and cancellation.
 pub fn render(gpu: &Gpu, frame: &Frame, light: &AreaLight, settings: &Settings) -> Result<LightImage> {
+    render_over(gpu, frame, light, settings, None)
+}
+
+/// [`render`], of a shader that also reads the map's min–max `pyramid`.
+///
+/// # Errors
+/// As [`render`].
+pub fn render_over_pyramid(
+    gpu: &Gpu,
+    frame: &Frame,
+    light: &AreaLight,
+    settings: &Settings,
+    pyramid: Pyramid,
+) -> Result<LightImage> {
+    render_over(gpu, frame, light, settings, Some(pyramid))
+}
+
+fn render_over(
+    gpu: &Gpu,
+    frame: &Frame,
+    light: &AreaLight,
+    settings: &Settings,
+    pyramid: Option<Pyramid>,
+) -> Result<LightImage> {
     let Some(view) = LightView::new(gpu, frame, light)? else {
         frame.progress.advance(u64::from(frame.receivers.size[1]))?;
         return Ok(LightView::image(None, frame, light, |_, _, _| (0.0, 0.0)));
     };
     let points = [MapPoint { position: view.emitter.center, weight: 1.0 }];
-    let maps = ShadowMaps::new(&view, &points, &kernels(&view, settings.nearest), settings.map_size, settings.margin)?;
+    let (boxes, size) = (kernels(&view, settings.nearest), [settings.map_size, settings.margin]);
+    let maps = match pyramid {
+        Some(Pyramid { along_light: true, .. }) => ShadowMaps::along_light(&view, &points, &boxes, size)?,
+        _ => ShadowMaps::new(&view, &points, &boxes, settings.map_size, settings.margin)?,
+    };
+    // The faces of a point are rendered together, and all stay.
+    let pyramid =
+        pyramid.map(|pyramid| MinMax::new(gpu, settings.map_size, maps.count.max(1), pyramid.bounded)).transpose()?;
     let constants: Vec<_> = [shadow_map::CONSTANTS, settings.constants].concat();
     let pipeline = gpu.compute_pipeline(settings.shader, "main", &constants);
     let answers: Vec<wgpu::Buffer> = view
@@ -66,6 +107,9 @@ pub fn render(gpu: &Gpu, frame: &Frame, light: &AreaLight, settings: &Settings) 
     let counter = gpu.counter()?;
     let mut passes = Vec::new();
     let record = |frame: &mut super::pass::Frame, maps: &shadow_map::RenderedMaps| {
+        if let Some(pyramid) = &pyramid {
+            pyramid.build(frame, &maps.depth);
+        }
         for (chunk, answer) in view.chunks.iter().zip(&answers) {
             let mut pass = frame
                 .compute("visibility", &pipeline)
@@ -77,6 +121,9 @@ pub fn render(gpu: &Gpu, frame: &Frame, light: &AreaLight, settings: &Settings) 
                 .bind("counted", &counter);
             if pipeline.bindings.contains_key("emitter") {
                 pass = pass.bind("emitter", &emitter);
+            }
+            if let Some(pyramid) = &pyramid {
+                pass = pass.bind("pyramid", &pyramid.nodes);
             }
             pass.dispatch([(chunk.pixels.len() as u32).div_ceil(WORKGROUP), 1, 1]);
         }

@@ -8,6 +8,7 @@ pub mod emission;
 pub mod gbuffer;
 pub mod layout;
 pub mod light_view;
+pub mod min_max;
 pub mod pass;
 pub mod scene;
 pub mod screen;
@@ -74,8 +75,8 @@ impl Adapter {
 /// Features that no technique can do without: the G-buffer's triangle numbers.
 const FEATURES: wgpu::Features = wgpu::Features::PRIMITIVE_INDEX;
 
-/// Features that are used where they are there: times of passes.
-const OPTIONAL_FEATURES: wgpu::Features = wgpu::Features::TIMESTAMP_QUERY;
+/// Features that are used where they are there: times of passes, sums of FP32 by blending.
+const OPTIONAL_FEATURES: wgpu::Features = wgpu::Features::TIMESTAMP_QUERY.union(wgpu::Features::FLOAT32_BLENDABLE);
 
 /// Chooses the adapter whose name contains it, in any case of letters: wgpu's own convention.
 const ADAPTER_VARIABLE: &str = "WGPU_ADAPTER_NAME";
@@ -191,7 +192,7 @@ impl Gpu {
         Arc::clone(built.entry(key).or_insert_with(build))
     }
 
-    /// A render pipeline, built when it is first asked for; a shader has one kind of targets.
+    /// A render pipeline, built when it is first asked for.
     pub fn render_pipeline(
         &self,
         path: &str,
@@ -199,7 +200,7 @@ impl Gpu {
         constants: Constants,
     ) -> Arc<Pipeline<wgpu::RenderPipeline>> {
         let mut built = self.render_pipelines.lock().unwrap_or_else(PoisonError::into_inner);
-        let key = format!("{path} {} {constants:?}", targets.fragment);
+        let key = format!("{path} {targets:?} {constants:?}");
         Arc::clone(built.entry(key).or_insert_with(|| Arc::new(Pipeline::render(self, path, targets, constants))))
     }
 
@@ -283,7 +284,22 @@ impl Gpu {
     pub fn texture(
         &self,
         label: &str,
+        size: [u32; 3],
+        format: wgpu::TextureFormat,
+        usage: wgpu::TextureUsages,
+    ) -> Result<wgpu::Texture> {
+        self.texture_of_levels(label, size, 1, format, usage)
+    }
+
+    /// [`Gpu::texture`] with so many levels, each half as large as the one before.
+    ///
+    /// # Errors
+    /// As [`Gpu::texture`].
+    pub fn texture_of_levels(
+        &self,
+        label: &str,
         [width, height, layers]: [u32; 3],
+        levels: u32,
         format: wgpu::TextureFormat,
         usage: wgpu::TextureUsages,
     ) -> Result<wgpu::Texture> {
@@ -303,7 +319,7 @@ impl Gpu {
         let texture = self.device.create_texture(&wgpu::TextureDescriptor {
             label: Some(label),
             size: wgpu::Extent3d { width, height, depth_or_array_layers: layers },
-            mip_level_count: 1,
+            mip_level_count: levels,
             sample_count: 1,
             dimension: wgpu::TextureDimension::D2,
             format,

@@ -31,14 +31,22 @@ use crate::scene::Bounds;
 
 gpu_struct! {
     /// Twin of `Face` in `lib/face.wgsl`.
-    struct Face {
+    pub struct Face {
+        /// Unit, and minus the light point's component along it.
         pub right: Vec4,
+        /// As `right`.
         pub up: Vec4,
+        /// As `right`; away from the light.
         pub forward: Vec4,
+        /// From the view to texture coordinates: scale, then offset.
         pub window: Vec4,
+        /// Farthest receiver, along `forward` from the origin.
         pub far: f32,
+        /// Of depth, which is 1 at the nearest caster.
         pub depth_scale: f32,
+        /// Larger side of a texel in the view.
         pub texel: f32,
+        /// 1: the light is at infinity.
         pub distant: u32,
     }
 }
@@ -60,17 +68,30 @@ gpu_struct! {
 /// its tangent within half a texel's diagonal r = √½, r²/2.
 pub const BIAS_TEXELS: f64 = 0.25;
 
-/// Widest frustum: tangent of the angle off its axis. Beyond it, texels in the middle would be over twice as wide as those of a
-/// cube's face with as many.
-const MAX_TANGENT: f64 = 2.0;
+/// What a frustum may be.
+#[derive(Debug, Clone, Copy)]
+struct Limits {
+    /// Tangent of the widest angle off its axis.
+    tangent: f64,
+    /// How far beside its axis it may look, in its own widths.
+    widths_aside: f64,
+}
+
+/// Towards the middle of the receivers. Beyond this tangent, texels in the middle would be over twice as wide as those of a cube's
+/// face with as many.
+const TO_RECEIVERS: Limits = Limits { tangent: 2.0, widths_aside: f64::INFINITY };
+
+/// Along the light's normal. On receivers parallel to the light texels are all of one size, however far to the side; on others they
+/// widen as the square of the tangent at worst, 17-fold here. Farther aside, places lose more than six of the 24 bits of `f32`.
+const ALONG_LIGHT: Limits = Limits { tangent: 4.0, widths_aside: 64.0 };
 
 /// Nearest depth relative to the farthest: casters nearer to the light point are not seen. Depth is a float, reversed, and keeps
 /// its relative precision from here on; so near, what a triangle is cut to is still known to 2^-8.
-const NEAREST: f64 = 1.0 / (1 << 16) as f64;
+pub const NEAREST: f64 = 1.0 / (1 << 16) as f64;
 
 /// Nearest depth relative to the largest coordinate: sixteen roundings of `f32`. A surface in the light's own plane comes out as
 /// near as a few of them, on either side, and must not be seen.
-const ROUNDING: f64 = 1.0 / (1 << 20) as f64;
+pub const ROUNDING: f64 = 1.0 / (1 << 20) as f64;
 
 /// Bytes of depth that are rendered at once; a point's faces are together, however large.
 const BATCH_BYTES: u64 = 256 << 20;
@@ -112,6 +133,15 @@ pub enum Keep {
     All,
 }
 
+/// Which of the surfaces behind one another a map keeps.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Kept {
+    /// That nearest to the light; the map holds 0 where there is none.
+    Nearest,
+    /// That farthest from it; the map holds 1 where there is none.
+    Farthest,
+}
+
 /// Maps that have been rendered, to be read by a technique.
 #[derive(Debug)]
 pub struct RenderedMaps {
@@ -150,7 +180,27 @@ impl<'a> ShadowMaps<'a> {
         [size, margin]: [u32; 2],
         keep: Keep,
     ) -> Result<Self> {
-        let fit = Fit { view, boxes, size, margin };
+        let fit = Fit { view, boxes, size, margin, along_light: false };
+        Self::fitted(view, casters, points, &fit, keep)
+    }
+
+    /// [`ShadowMaps::new`], of maps that look along the light's normal where they can hold the boxes so, and else are the faces of
+    /// a cube along the light's axes, which `face_toward` does not know.
+    ///
+    /// # Errors
+    /// As [`ShadowMaps::new`].
+    pub fn along_light(
+        view: &'a LightView,
+        points: &[MapPoint],
+        boxes: &[Bounds],
+        [size, margin]: [u32; 2],
+    ) -> Result<Self> {
+        let fit = Fit { view, boxes, size, margin, along_light: true };
+        Self::fitted(view, &view.casters, points, &fit, Keep::One)
+    }
+
+    fn fitted(view: &'a LightView, casters: &'a DrawList, points: &[MapPoint], fit: &Fit, keep: Keep) -> Result<Self> {
+        let size = fit.size;
         let fitted: Vec<(u32, Vec<Face>)> = points.par_iter().map(|point| fit.point(point)).collect();
         let most = most_faces(&view.gpu.device.limits(), size);
         let mut batches: Vec<Batch> = Vec::new();
@@ -229,7 +279,7 @@ impl<'a> ShadowMaps<'a> {
         let texture = &self.depth[batch.min(self.depth.len() - 1)];
         let first: usize = self.batches[..batch].iter().map(|batch| batch.points.len()).sum();
         let batch = &self.batches[batch];
-        self.draw(frame, &pipelines(gpu), texture, batch)?;
+        self.draw(frame, &pipelines(gpu, Kept::Nearest), texture, batch)?;
         Ok(RenderedMaps {
             range: first..first + batch.points.len(),
             faces: gpu.buffer("faces", &batch.faces, wgpu::BufferUsages::STORAGE)?,
@@ -265,17 +315,8 @@ impl<'a> ShadowMaps<'a> {
                 size: wgpu::BufferSize::new(size_of::<Face>() as u64),
             });
             let groups = buffers.bind_groups(gpu, pipelines, &[("face", face)]);
-            let target = texture.create_view(&wgpu::TextureViewDescriptor {
-                dimension: Some(wgpu::TextureViewDimension::D2),
-                base_array_layer: layer as u32,
-                array_layer_count: Some(1),
-                ..wgpu::TextureViewDescriptor::default()
-            });
-            let depth = wgpu::RenderPassDepthStencilAttachment {
-                view: &target,
-                depth_ops: Some(wgpu::Operations { load: wgpu::LoadOp::Clear(0.0), store: wgpu::StoreOp::Store }),
-                stencil_ops: None,
-            };
+            let target = layer_of(texture, layer as u32);
+            let depth = attachment(&target, Kept::Nearest);
             frame
                 .render("shadow maps", &[], Some(depth), |pass| buffers.draw(pass, pipelines, &groups, casters, draws));
         }
@@ -286,12 +327,12 @@ impl<'a> ShadowMaps<'a> {
 /// How much of the view each of the maps like those of [`ShadowMaps::new`] shows: in squared tangents, from a distant light in
 /// squared lengths on the GPU's scale.
 pub fn shown_areas(view: &LightView, points: &[MapPoint], boxes: &[Bounds], [size, margin]: [u32; 2]) -> Vec<f64> {
-    let fit = Fit { view, boxes, size, margin };
+    let fit = Fit { view, boxes, size, margin, along_light: false };
     let faces: Vec<Vec<Face>> = points.par_iter().map(|point| fit.point(point).1).collect();
     faces.iter().flatten().map(|face| 1.0 / (f64::from(face.window.x) * f64::from(face.window.y))).collect()
 }
 
-fn pipelines(gpu: &Gpu) -> ScenePipelines {
+fn pipelines(gpu: &Gpu, kept: Kept) -> ScenePipelines {
     let targets = Targets {
         vertices: &VERTEX_BUFFERS,
         fragment: false,
@@ -299,7 +340,10 @@ fn pipelines(gpu: &Gpu) -> ScenePipelines {
         depth: Some(wgpu::DepthStencilState {
             format: DEPTH,
             depth_write_enabled: Some(true),
-            depth_compare: Some(wgpu::CompareFunction::Greater),
+            depth_compare: Some(match kept {
+                Kept::Nearest => wgpu::CompareFunction::Greater,
+                Kept::Farthest => wgpu::CompareFunction::Less,
+            }),
             stencil: wgpu::StencilState::default(),
             bias: wgpu::DepthBiasState::default(),
         }),
@@ -329,11 +373,13 @@ struct Fit<'a> {
     size: u32,
     /// Around the boxes, texels.
     margin: u32,
+    /// Whether maps look along the light's normal where they can, rather than towards the middle of the receivers.
+    along_light: bool,
 }
 
 /// How far beyond the farthest receiver a map sees, relative to its depth or, from far away, to the extent of all that is drawn,
 /// which is about 1: enough for roundings of `f32`.
-const BEYOND: f64 = 1e-3;
+pub const BEYOND: f64 = 1e-3;
 
 impl Fit<'_> {
     /// The maps of a point: which faces of a cube they are, and where each looks.
@@ -342,7 +388,9 @@ impl Fit<'_> {
             return (0, vec![self.distant(&self.axes(-point.position.normalize()))]);
         }
         let middle = self.view.receiver_bounds.center() - point.position;
-        let frustum = middle.try_normalize().and_then(|forward| self.frustum(point, &self.axes(forward)));
+        let toward = |forward, limits| self.frustum(point, &self.axes(forward), limits);
+        let along_light = if self.along_light { toward(self.view.emitter.normal, ALONG_LIGHT) } else { None };
+        let frustum = along_light.or_else(|| middle.try_normalize().and_then(|forward| toward(forward, TO_RECEIVERS)));
         if let Some(face) = frustum {
             return (0, vec![face]);
         }
@@ -378,23 +426,27 @@ impl Fit<'_> {
     }
 
     /// The frustum towards the receivers, if one can hold the boxes.
-    fn frustum(&self, point: &MapPoint, axes: &DMat3) -> Option<Face> {
+    fn frustum(&self, point: &MapPoint, axes: &DMat3, limits: Limits) -> Option<Face> {
         let (mut low, mut high, mut farthest) = (DVec2::INFINITY, DVec2::NEG_INFINITY, 0.0f64);
         for corner in self.boxes.iter().flat_map(Bounds::corners) {
             let seen = axes.transpose() * (corner - point.position);
-            if seen.z <= 0.0 || seen.truncate().abs().max_element() > MAX_TANGENT * seen.z {
+            if seen.z <= 0.0 || seen.truncate().abs().max_element() > limits.tangent * seen.z {
                 return None;
             }
             let at = seen.truncate() / seen.z;
             (low, high, farthest) = (low.min(at), high.max(at), farthest.max(seen.z));
+        }
+        if low.abs().max(high.abs()).max_element() > limits.widths_aside * (high - low).max_element() {
+            return None;
         }
         Some(self.face(axes, point.position, [low, high], self.depths(axes, point, farthest)))
     }
 
     /// A face of the cube around a point, if some of the boxes may lie in it.
     fn cube_face(&self, point: &MapPoint, index: usize) -> Option<Face> {
-        let forward = DVec3::AXES[index / 2] * if index % 2 == 1 { 1.0 } else { -1.0 };
-        let axes = DMat3::from_cols(DVec3::AXES[(index / 2 + 1) % 3], DVec3::AXES[(index / 2 + 2) % 3], forward);
+        let cube = if self.along_light { self.axes(self.view.emitter.normal) } else { DMat3::IDENTITY };
+        let forward = cube.col(index / 2) * if index % 2 == 1 { 1.0 } else { -1.0 };
+        let axes = DMat3::from_cols(cube.col((index / 2 + 1) % 3), cube.col((index / 2 + 2) % 3), forward);
         let (mut low, mut high, mut farthest) = (DVec2::INFINITY, DVec2::NEG_INFINITY, 0.0f64);
         for bounds in self.boxes {
             let corners = bounds.corners().map(|corner| axes.transpose() * (corner - point.position));
@@ -433,10 +485,23 @@ impl Fit<'_> {
 
     /// A face that sees from `low` to `high`, and from the depth of the nearest caster to that of the farthest receiver, both from
     /// the light point (from the origin for a distant light).
-    fn face(&self, axes: &DMat3, position: DVec3, [low, high]: [DVec2; 2], [nearest, farthest]: [f64; 2]) -> Face {
-        let distant = self.view.emitter.distant;
-        let size = f64::from(self.size);
-        let inner = f64::from(self.size.saturating_sub(2 * self.margin).max(1)) / size;
+    fn face(&self, axes: &DMat3, position: DVec3, window: [DVec2; 2], depths: [f64; 2]) -> Face {
+        Face::new(axes, position, self.view.emitter.distant, window, depths, [self.size, self.margin])
+    }
+}
+
+impl Face {
+    /// A map of `size` texels a side, `margin` more than what it is to hold on every side, that sees from `low` to `high` and from
+    /// `nearest` to `farthest` along the axes right, up and forward from a position (from the origin for a distant light).
+    pub fn new(
+        axes: &DMat3,
+        position: DVec3,
+        distant: bool,
+        [low, high]: [DVec2; 2],
+        [nearest, farthest]: [f64; 2],
+        [size, margin]: [u32; 2],
+    ) -> Self {
+        let inner = f64::from(size.saturating_sub(2 * margin).max(1)) / f64::from(size);
         // What lies on a line or in a point is given some width.
         let least = (1e-3 * (high - low).max_element()).max(1e-9);
         let width = (high - low).max(DVec2::splat(least)) / inner;
@@ -448,16 +513,68 @@ impl Fit<'_> {
             (farthest + axes.z_axis.dot(position), nearest / (farthest - nearest))
         };
         let row = |axis: DVec3| axis.extend(if distant { 0.0 } else { -axis.dot(position) }).as_vec4();
-        Face {
+        Self {
             right: row(axes.x_axis),
             up: row(axes.y_axis),
             forward: row(axes.z_axis),
             window: Vec4::new(scale.x as f32, scale.y as f32, offset.x as f32, offset.y as f32),
             far: far as f32,
             depth_scale: depth_scale as f32,
-            texel: (width.max_element() / size) as f32,
+            texel: (width.max_element() / f64::from(size)) as f32,
             distant: u32::from(distant),
         }
+    }
+
+    /// From where to where it sees, in its view.
+    pub fn shown(&self) -> [DVec2; 2] {
+        let [scale_x, scale_y, offset_x, offset_y] = self.window.as_dvec4().to_array();
+        let (scale, offset) = (DVec2::new(scale_x, scale_y), DVec2::new(offset_x, offset_y));
+        [-offset / scale, (1.0 - offset) / scale]
+    }
+}
+
+/// Records a single map of part of the scene into a layer of a texture.
+///
+/// # Errors
+/// [`crate::Error::Gpu`] where what it needs does not fit.
+pub fn draw_face(
+    frame: &mut Frame,
+    name: &'static str,
+    view: &LightView,
+    list: &DrawList,
+    (face, kept): (&Face, Kept),
+    (texture, layer): (&wgpu::Texture, u32),
+) -> Result<()> {
+    let uniform = view.gpu.buffer("face", std::slice::from_ref(face), wgpu::BufferUsages::UNIFORM)?;
+    let pipelines = pipelines(view.gpu, kept);
+    let groups = view.buffers.bind_groups(view.gpu, &pipelines, &[("face", uniform.as_entire_binding())]);
+    let target = layer_of(texture, layer);
+    let draws = list.draws(|bounds| is_in_view(face, bounds));
+    frame.render(name, &[], Some(attachment(&target, kept)), |pass| {
+        view.buffers.draw(pass, &pipelines, &groups, list, &draws);
+    });
+    Ok(())
+}
+
+/// A layer to be drawn into.
+fn layer_of(texture: &wgpu::Texture, layer: u32) -> wgpu::TextureView {
+    texture.create_view(&wgpu::TextureViewDescriptor {
+        dimension: Some(wgpu::TextureViewDimension::D2),
+        base_array_layer: layer,
+        array_layer_count: Some(1),
+        ..wgpu::TextureViewDescriptor::default()
+    })
+}
+
+fn attachment(target: &wgpu::TextureView, kept: Kept) -> wgpu::RenderPassDepthStencilAttachment<'_> {
+    let nothing = match kept {
+        Kept::Nearest => 0.0,
+        Kept::Farthest => 1.0,
+    };
+    wgpu::RenderPassDepthStencilAttachment {
+        view: target,
+        depth_ops: Some(wgpu::Operations { load: wgpu::LoadOp::Clear(nothing), store: wgpu::StoreOp::Store }),
+        stencil_ops: None,
     }
 }
 

@@ -3,10 +3,15 @@
 //! A technique is one file with an [`Entry`] in it; the command line, the demo and the tests iterate [`ALL`].
 
 pub mod adaptive;
+pub mod bilateral;
+pub mod cascaded;
 pub mod hard;
+pub mod min_max_backprojection;
+pub mod min_max_pcf;
 pub mod pcf;
 pub mod pcss;
 pub mod rays;
+pub mod soft_shadow_map;
 pub mod temporal;
 pub mod uniform;
 
@@ -29,13 +34,25 @@ use crate::scene::{AreaLight, Scene};
 use crate::{Error, Result};
 
 /// All techniques, in the order in which they are shown.
-pub const ALL: &[Entry] =
-    &[rays::ENTRY, hard::ENTRY, pcf::ENTRY, pcss::ENTRY, uniform::ENTRY, adaptive::ENTRY, temporal::ENTRY];
+pub const ALL: &[Entry] = &[
+    rays::ENTRY,
+    hard::ENTRY,
+    pcf::ENTRY,
+    min_max_pcf::ENTRY,
+    pcss::ENTRY,
+    min_max_backprojection::ENTRY,
+    soft_shadow_map::ENTRY,
+    uniform::ENTRY,
+    adaptive::ENTRY,
+    temporal::ENTRY,
+    cascaded::ENTRY,
+    bilateral::ENTRY,
+];
 
 /// A technique's place in the registry.
 #[derive(Debug)]
 pub struct Entry {
-    /// Name on the command line and in reports; the file's stem.
+    /// Name on the command line and in reports; the file's stem, with `-` for `_`.
     pub name: &'static str,
     /// Where it comes from.
     pub paper: &'static str,

@@ -10,10 +10,10 @@ use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 use super::{Context, Entry, Frame, LightImage, Needs, Parameters, Technique, parse_parameters, schema_of};
+use crate::Result;
 use crate::gpu::Gpu;
 use crate::gpu::center_map::{self, Settings};
 use crate::scene::AreaLight;
-use crate::{Error, Result};
 
 /// Registered as `pcf`.
 pub const ENTRY: Entry = Entry {
@@ -34,7 +34,7 @@ pub struct Pcf {
     /// Texels a side of the shadow map.
     #[schemars(range(min = 1, max = 16_384))]
     pub map_size: u32,
-    /// Texels a side of the kernel, an odd number: the width of the penumbra.
+    /// Texels a side of the kernel: the width of the penumbra.
     #[schemars(range(min = 1, max = 255))]
     pub kernel: u32,
 }
@@ -47,10 +47,6 @@ impl Default for Pcf {
 
 fn build(context: &Context, given: &Parameters) -> Result<Box<dyn Technique>> {
     let parameters = parse_parameters::<Pcf>(&ENTRY, given)?;
-    if parameters.kernel.is_multiple_of(2) {
-        let message = format!("expected an odd number of texels, found {}", parameters.kernel);
-        return Err(Error::usage("parameter kernel of pcf", message));
-    }
     Ok(Box::new(Built { gpu: context.gpu()?, parameters }))
 }
 

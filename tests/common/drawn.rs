@@ -14,10 +14,11 @@ use crate::common::receivers;
 /// One adapter for all tests.
 pub static CONTEXT: LazyLock<Context> = LazyLock::new(Context::default);
 
-/// The techniques that read shadow maps.
-pub const MAPPED: [&str; 6] = ["hard", "pcf", "pcss", "uniform", "adaptive", "temporal"];
+/// The techniques that hold texels of shadow maps against receivers, each blocked or not; `min_max.rs` has what adds up areas.
+pub const MAPPED: [&str; 9] =
+    ["hard", "pcf", "min-max-pcf", "pcss", "uniform", "adaptive", "temporal", "cascaded", "bilateral"];
 
-/// Texels on either side of its own that `pcf` reads as [`mapped`] makes it.
+/// Texels on either side of its own that `pcf` and `min-max-pcf` read as [`mapped`] makes it.
 pub const PCF_RADIUS: u32 = 1;
 
 /// A technique with settings.
@@ -29,7 +30,7 @@ pub fn technique(name: &str, settings: &str) -> Box<dyn Technique> {
 /// One of [`MAPPED`] with small kernels and few samples.
 pub fn mapped(name: &str, map_size: u32) -> Box<dyn Technique> {
     let own = match name {
-        "pcf" => "kernel=3",
+        "pcf" | "min-max-pcf" => "kernel=3",
         "pcss" => "dense=true",
         "uniform" => "samples=16",
         "adaptive" => "max_depth=2",
