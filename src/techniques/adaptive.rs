@@ -236,6 +236,9 @@ const CELLS_AT_ONCE: usize = 64;
 /// Points whose bytes share a word; points of a dispatch.
 const IN_WORD: usize = 4;
 
+/// Cosine from which two maps look the same way.
+const LOOKS_ALIKE: f32 = 0.99;
+
 /// Sides of maps are multiples of it, texels: divisions ask for many sizes.
 const SIZE_STEP: u32 = 32;
 
@@ -700,8 +703,8 @@ impl<'a> Work<'a> {
         Ok(())
     }
 
-    /// Where the tiles are that need some of the points, and how large maps of them are: with texels as large as they are on average
-    /// where all receivers are held.
+    /// Where the tiles are that need some of the points, and how large maps of them are: with texels no larger than
+    /// where all receivers are held, in the map that looks the same way, or, if a crop has a view of its own, in the coarsest.
     fn cropped(&self, points: &[MapPoint], needed: &[BTreeSet<u32>], margin: u32) -> (Vec<Bounds>, u32) {
         let size = self.parameters.map_size;
         let is_needed = |tile: &u32| needed.iter().any(|needed| needed.contains(tile));
@@ -713,9 +716,15 @@ impl<'a> Work<'a> {
         // Points of one light see much the same: few of them tell how fine maps of all receivers are.
         let few = &points[..points.len().min(4)];
         let whole = shown_areas(self.view, few, &self.whole(), [size, margin]);
-        let mean = whole.iter().sum::<f64>() / whole.len() as f64;
+        let largest = |areas: &mut dyn Iterator<Item = f64>| areas.fold(0.0, f64::max);
+        let coarsest = largest(&mut whole.iter().map(|(_, area)| *area));
         let areas = shown_areas(self.view, points, &boxes, [size, margin]);
-        let same = (f64::from(size) * (areas.iter().copied().fold(0.0, f64::max) / mean).sqrt()).ceil() as u32;
+        let finer = areas.iter().map(|(forward, area)| {
+            let alike = whole.iter().filter(|(other, _)| other.dot(*forward) > LOOKS_ALIKE).map(|(_, area)| *area);
+            let alike = largest(&mut alike.into_iter());
+            area / if alike > 0.0 { alike } else { coarsest }
+        });
+        let same = (f64::from(size) * largest(&mut finer.into_iter()).sqrt()).ceil() as u32;
         // One map may stand for the four faces of a cube that hold all, but they have no more texels.
         let maps_a_point = [whole.len() as f64 / few.len() as f64, areas.len() as f64 / points.len() as f64];
         let most = (f64::from(size) * (maps_a_point[0] / maps_a_point[1]).max(1.0).sqrt()) as u32;
