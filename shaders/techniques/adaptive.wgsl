@@ -275,7 +275,8 @@ fn smooth_out(@builtin(global_invocation_id) id: vec3<u32>) {
     if (gap >= 0.0) {
         // An axis that is not divided is whole.
         let cell = select(vec2(1.0), vec2(sides[tile]), job.counts.yz == vec2(1.0));
-        smoothed[id.x] = smooth_over(receiver, gap, cell, 1.0);
+        // As in `cascaded.wgsl`: an edge hides the light row by row of points.
+        smoothed[id.x] = smooth_over(receiver, gap, cell, 1.5 * sides[tile]);
     }
 }
 

@@ -221,6 +221,18 @@ pub const ENTRIES: &[Entry] = &[
         build: two_edges,
     },
     Entry {
+        name: "wall",
+        about: "a wall beside a wide light, or through it: from either side only the part of the light on that side is seen",
+        parameters: &[
+            parameter("light", Kind::Positive(2.0), LIGHT.meaning),
+            parameter("height", Kind::Positive(1.0), HEIGHT.meaning),
+            parameter("x", Kind::Number(2.1), "where the wall stands along X, m"),
+            SHAPE,
+            parameter("view", Kind::Positive(4.0), VIEW.meaning),
+        ],
+        build: wall,
+    },
+    Entry {
         name: "wire",
         about: "a thin wire far above the receiver, close to the light",
         parameters: &[
@@ -768,6 +780,16 @@ fn two_edges(values: &Values) -> Result<Draft> {
     ];
     let draft = Draft::lit_by(light_above(values, DVec2::ZERO)?, receiver_camera(values, lift.min(lift2)), objects);
     Ok(draft.with_truth(Answer::HalfPlanes(vec![1, 2])))
+}
+
+fn wall(values: &Values) -> Result<Draft> {
+    let x = values.number("x");
+    // No light is seen over it.
+    let reach = reach(values, x);
+    let corners = [(0.0, -1.0), (0.0, 1.0), (1.0, 1.0), (1.0, -1.0)];
+    let wall = shapes::polygon(&corners.map(|(up, along)| DVec3::new(x, up * reach, along * reach)));
+    let camera = receiver_camera(values, values.number("height"));
+    Ok(Draft::lit_by(light_above(values, DVec2::ZERO)?, camera, vec![receiver(values), Object::plain("wall", wall)]))
 }
 
 fn disks(values: &Values) -> Result<Draft> {
