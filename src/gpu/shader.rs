@@ -8,6 +8,7 @@ use super::Gpu;
 
 /// Every file of `shaders/`, by its path there. A test holds the list against the folder.
 pub const SOURCES: &[(&str, &str)] = &[
+    ("lib/back_projection.wgsl", include_str!("../../shaders/lib/back_projection.wgsl")),
     ("lib/counter.wgsl", include_str!("../../shaders/lib/counter.wgsl")),
     ("lib/cutout.wgsl", include_str!("../../shaders/lib/cutout.wgsl")),
     ("lib/emission.wgsl", include_str!("../../shaders/lib/emission.wgsl")),
@@ -27,6 +28,7 @@ pub const SOURCES: &[(&str, &str)] = &[
     ("passes/shadow_map.wgsl", include_str!("../../shaders/passes/shadow_map.wgsl")),
     ("techniques/adaptive.wgsl", include_str!("../../shaders/techniques/adaptive.wgsl")),
     ("techniques/bilateral.wgsl", include_str!("../../shaders/techniques/bilateral.wgsl")),
+    ("techniques/bitmask.wgsl", include_str!("../../shaders/techniques/bitmask.wgsl")),
     ("techniques/cascaded.wgsl", include_str!("../../shaders/techniques/cascaded.wgsl")),
     ("techniques/hard.wgsl", include_str!("../../shaders/techniques/hard.wgsl")),
     ("techniques/min_max_backprojection.wgsl", include_str!("../../shaders/techniques/min_max_backprojection.wgsl")),

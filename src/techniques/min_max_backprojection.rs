@@ -91,15 +91,10 @@ struct Built {
 impl Technique for Built {
     fn render(&self, frame: &Frame, light: &AreaLight) -> Result<LightImage> {
         let MinMaxBackprojection { map_size, near, fill_gaps, shrink, window, tolerance, slopes } = self.parameters;
-        let turns = match light.shape {
-            Shape::Sphere { .. } => 1,
-            Shape::Tube { .. } => 2,
-            Shape::Rect { .. } | Shape::Disk { .. } | Shape::Sun { .. } | Shape::Point => 0,
-        };
         let settings = Settings {
             shader: "techniques/min_max_backprojection.wgsl",
             constants: &[
-                ("turns", turns.into()),
+                ("turns", turns(light.shape)),
                 ("fill_gaps", f64::from(u8::from(fill_gaps))),
                 ("shrink", shrink.into()),
                 ("window_texels", window.into()),
@@ -120,5 +115,14 @@ impl Technique for Built {
 
     fn gpu(&self) -> Option<&Gpu> {
         Some(&self.gpu)
+    }
+}
+
+/// How a light turns to its receivers, as `lib/back_projection.wgsl` has it.
+pub fn turns(shape: Shape) -> f64 {
+    match shape {
+        Shape::Sphere { .. } => 1.0,
+        Shape::Tube { .. } => 2.0,
+        Shape::Rect { .. } | Shape::Disk { .. } | Shape::Sun { .. } | Shape::Point => 0.0,
     }
 }

@@ -4,6 +4,7 @@
 
 pub mod adaptive;
 pub mod bilateral;
+pub mod bitmask;
 pub mod cascaded;
 pub mod hard;
 pub mod min_max_backprojection;
@@ -41,6 +42,7 @@ pub const ALL: &[Entry] = &[
     min_max_pcf::ENTRY,
     pcss::ENTRY,
     min_max_backprojection::ENTRY,
+    bitmask::ENTRY,
     soft_shadow_map::ENTRY,
     uniform::ENTRY,
     adaptive::ENTRY,
