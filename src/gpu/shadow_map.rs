@@ -326,7 +326,12 @@ impl<'a> ShadowMaps<'a> {
 
 /// What maps like those of [`ShadowMaps::new`] show, a list a map: which way it looks (a unit vector), and how much of the view it
 /// holds, in squared tangents, from a distant light in squared lengths on the GPU's scale.
-pub fn shown_areas(view: &LightView, points: &[MapPoint], boxes: &[Bounds], [size, margin]: [u32; 2]) -> Vec<(Vec3, f64)> {
+pub fn shown_areas(
+    view: &LightView,
+    points: &[MapPoint],
+    boxes: &[Bounds],
+    [size, margin]: [u32; 2],
+) -> Vec<(Vec3, f64)> {
     let fit = Fit { view, boxes, size, margin, along_light: false };
     let faces: Vec<Vec<Face>> = points.par_iter().map(|point| fit.point(point).1).collect();
     let area = |face: &Face| 1.0 / (f64::from(face.window.x) * f64::from(face.window.y));
