@@ -121,13 +121,14 @@ fn results_have_every_field_of_the_schema() {
 }
 
 /// What an outcome that was measured has.
-const MEASURED: [&str; 11] = [
+const MEASURED: [&str; 12] = [
     "status",
     "time",
     "memory_mb",
     "samples",
     "rays",
     "shadow_maps",
+    "texels",
     "reference",
     "pixels",
     "errors",
@@ -453,9 +454,9 @@ fn results_of_another_kind_are_not_overwritten() {
     let path = directory.path().join("out/results.json");
     for (text, reason) in [
         ("{", "EOF"),
-        ("{}", "expected results of version 2, found null"),
-        ("{\"version\": 1}", "expected results of version 2, found 1"),
-        ("{\"version\": 2, \"suite\": \"a\", \"records\": [{}]}", "missing field"),
+        ("{}", "expected results of version 3, found null"),
+        ("{\"version\": 2}", "expected results of version 3, found 2"),
+        ("{\"version\": 3, \"suite\": \"a\", \"records\": [{}]}", "missing field"),
     ] {
         fs::write(&path, text).expect("writes");
         let run = bench(directory.path(), TINY);

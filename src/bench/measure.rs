@@ -97,6 +97,7 @@ impl Subject {
             samples: light.samples,
             rays: light.rays,
             shadow_maps: light.shadow_maps,
+            texels: light.texels,
             reference: ReferenceRecord { method: "exact".into(), sampled_receivers: self.sampled },
             pixels: report.pixels,
             errors: lights.swap_remove(0),

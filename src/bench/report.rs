@@ -132,7 +132,10 @@ struct SummaryRow {
     label: String,
     shadow_maps: u32,
     samples: u32,
+    /// Read, millions.
+    texels: String,
     rmse: String,
+    ssim: String,
     flip: String,
     ratio: String,
     /// Frame rates over the baseline's: of the whole frame, of the technique alone.
@@ -476,7 +479,9 @@ fn summary(experiment: &Experiment, found: &[Found]) -> Option<Summary> {
                 label: label(&record.technique, &record.preset, &record.settings),
                 shadow_maps: measured.shadow_maps,
                 samples: measured.samples,
+                texels: short(measured.texels as f64 / 1e6),
                 rmse: number_or_none(penumbra.rmse),
+                ssim: number_or_none(penumbra.ssim),
                 flip: number_or_none(penumbra.flip),
                 ratio: short(time.baseline.wall_ratio.median),
                 rates: CLOCKS.iter().map(rate).collect(),
@@ -1033,7 +1038,7 @@ mod tests {
                 },
             },
             "memory_mb": {"peak_rss": null, "gpu": 0.0},
-            "samples": 1, "rays": 1, "shadow_maps": 0,
+            "samples": 1, "rays": 1, "shadow_maps": 0, "texels": 0,
             "reference": {"method": "exact", "sampled_receivers": 0},
             "pixels": {"compared": 48, "uncovered": 0, "coverage_differs": 0, "position_differs": 0},
             "errors": {

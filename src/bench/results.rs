@@ -16,7 +16,7 @@ use crate::techniques::Parameters;
 use crate::{Error, Result};
 
 /// [`Results::version`] of the files that this version writes and reads.
-const VERSION: u32 = 2;
+const VERSION: u32 = 3;
 
 /// Largest file that is read, bytes: a record takes some 5 kB, and a suite has at most 10,000; each frame of a sequence takes
 /// some 600 bytes more.
@@ -144,6 +144,8 @@ pub struct Measured {
     pub rays: u64,
     /// Shadow maps, each face counted.
     pub shadow_maps: u32,
+    /// Texels of shadow maps, or of their pyramids, that were read; 0 of a technique that does not count them.
+    pub texels: u64,
     /// What it was held against.
     pub reference: ReferenceRecord,
     /// How many pixels could be compared.
@@ -369,6 +371,7 @@ impl Record {
         add("samples", text(measured.map(|measured| measured.samples.to_string())));
         add("rays", text(measured.map(|measured| measured.rays.to_string())));
         add("shadow_maps", text(measured.map(|measured| measured.shadow_maps.to_string())));
+        add("texels", text(measured.map(|measured| measured.texels.to_string())));
         for mask in Mask::ALL {
             let errors = measured.and_then(|measured| measured.errors.masks.get(&mask));
             let name = mask.name();

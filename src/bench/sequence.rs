@@ -45,6 +45,7 @@ struct Seeing {
     samples: u32,
     rays: u64,
     shadow_maps: u32,
+    texels: u64,
     errors: LightReport,
     change: Change,
 }
@@ -141,6 +142,7 @@ impl<'a> MovingSubject<'a> {
                 samples: light.samples,
                 rays: light.rays,
                 shadow_maps: light.shadow_maps,
+                texels: light.texels,
                 errors: report.lights.swap_remove(0),
                 change: meter.add(&image, &truth.image, &truth.came_from)?,
             });
@@ -170,6 +172,7 @@ impl<'a> MovingSubject<'a> {
             samples: middle(seen.iter().map(|seen| seen.samples)),
             rays: middle(seen.iter().map(|seen| seen.rays)),
             shadow_maps: middle(seen.iter().map(|seen| seen.shadow_maps)),
+            texels: middle(seen.iter().map(|seen| seen.texels)),
             reference: ReferenceRecord { method: "exact".into(), sampled_receivers: sampled },
             pixels,
             errors: pool(&seen.into_iter().map(|seen| seen.errors).collect::<Vec<_>>()),

@@ -39,6 +39,17 @@ gpu_struct! {
 /// Sides of the tiles of pixels whose receivers are bounded together, pixels.
 pub const TILE: u32 = 16;
 
+/// Tiles of an image of so many, with those around them: an edge that the points of a tile miss may be seen by its neighbours'.
+pub fn around(tiles: impl IntoIterator<Item = u32>, columns: u32, count: u32) -> BTreeSet<u32> {
+    let rows = count / columns;
+    let near = |at: u32, count: u32| at.saturating_sub(1)..(at + 2).min(count);
+    let ring = |tile: u32| {
+        let (x, y) = (tile % columns, tile / columns);
+        near(y, rows).flat_map(move |y| near(x, columns).map(move |x| y * columns + x))
+    };
+    tiles.into_iter().flat_map(ring).collect()
+}
+
 /// Sides of the blocks of tiles that are held against all casters, tiles.
 const TILES_A_BLOCK: u32 = 8;
 

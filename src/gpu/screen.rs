@@ -7,6 +7,9 @@ use crate::gpu_struct;
 use crate::history::Shot;
 use crate::scene::{Camera, Projection};
 
+/// How far depths of one surface may differ, as a fraction of the view's height there.
+pub const SAME_SURFACE: f64 = 0.005;
+
 gpu_struct! {
     /// Twin of `Screen` in `lib/screen.wgsl`.
     pub struct Screen {

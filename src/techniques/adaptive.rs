@@ -33,9 +33,9 @@ use super::{
 };
 use crate::gpu::center_map::emitter_of;
 use crate::gpu::emission::Emission;
-use crate::gpu::light_view::{Chunk, GpuReceiver, LightView, TILE, WORKGROUP, seen_of};
+use crate::gpu::light_view::{Chunk, GpuReceiver, LightView, TILE, WORKGROUP, around, seen_of};
 use crate::gpu::pass::Compute;
-use crate::gpu::screen::Screen;
+use crate::gpu::screen::{SAME_SURFACE, Screen};
 use crate::gpu::shader::Pipeline;
 use crate::gpu::shadow_map::{self, Keep, MapPoint, RenderedMaps, ShadowMaps, shown_areas};
 use crate::gpu::{self, Gpu};
@@ -223,9 +223,6 @@ const GROUPS_A_TILE: u32 = TILE * TILE / WORKGROUP;
 
 /// Texels a side of the light centre's view.
 const CENTER_SIZE: u32 = 256;
-
-/// How far depths of one surface may differ, as a fraction of the view's height there.
-const SAME_SURFACE: f64 = 0.005;
 
 /// What points' answers, and maps that are kept, may take of the GPU's memory, bytes.
 const MOST_BYTES: u64 = 4 << 30;
@@ -1002,7 +999,7 @@ impl Work<'_> {
         let screen = gpu.buffer("screen", &[screen], wgpu::BufferUsages::UNIFORM)?;
         let Job { tile_columns, tiles, .. } = self.job(size);
         let finest = |tile: u32| {
-            let near = around(std::iter::once(tile), tile_columns, tiles);
+            let near = around([tile], tile_columns, tiles);
             near.into_iter().map(|tile| self.tile_depths[tile as usize]).max().expect("the tile itself")
         };
         let sides: Vec<f32> = match self.skips() {
@@ -1048,17 +1045,6 @@ impl Work<'_> {
         add_passes(&mut self.passes, frame.finish()?);
         answers.iter().map(|answers| gpu.read_buffer(answers)).collect()
     }
-}
-
-/// Tiles with those around them: the edge that a tile's points miss may be seen by its neighbours'.
-fn around(tiles: impl Iterator<Item = u32>, columns: u32, count: u32) -> BTreeSet<u32> {
-    let rows = count / columns;
-    let near = |at: u32, count: u32| at.saturating_sub(1)..(at + 2).min(count);
-    let ring = |tile: u32| {
-        let (x, y) = (tile % columns, tile / columns);
-        near(y, rows).flat_map(move |y| near(x, columns).map(move |x| y * columns + x))
-    };
-    tiles.flat_map(ring).collect()
 }
 
 /// Whether the longer axis of a light runs along v.

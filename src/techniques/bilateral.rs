@@ -21,7 +21,7 @@ use super::{Context, Entry, Frame, LightImage, Needs, Parameters, Technique, add
 use crate::gpu::center_map::emitter_of;
 use crate::gpu::emission::Emission;
 use crate::gpu::light_view::{Chunk, LightView, TILE, WORKGROUP};
-use crate::gpu::screen::Screen;
+use crate::gpu::screen::{SAME_SURFACE, Screen};
 use crate::gpu::shadow_map::{self, MapPoint, RenderedMaps, ShadowMaps};
 use crate::gpu::{self, Gpu};
 use crate::sampling::on_domain;
@@ -92,9 +92,6 @@ gpu_struct! {
         pub padding: u32,
     }
 }
-
-/// How far depths of one surface may differ, as a fraction of the view's height there.
-const SAME_SURFACE: f64 = 0.005;
 
 fn build(context: &Context, given: &Parameters) -> Result<Box<dyn Technique>> {
     let parameters = parse_parameters::<Bilateral>(&ENTRY, given)?;

@@ -35,8 +35,8 @@ use super::{
 };
 use crate::gpu::center_map::emitter_of;
 use crate::gpu::emission::Emission;
-use crate::gpu::light_view::{Chunk, LightView, TILE, WORKGROUP};
-use crate::gpu::screen::Screen;
+use crate::gpu::light_view::{Chunk, LightView, TILE, WORKGROUP, around};
+use crate::gpu::screen::{SAME_SURFACE, Screen};
 use crate::gpu::shader::Pipeline;
 use crate::gpu::shadow_map::{self, Keep, MapPoint, ShadowMaps};
 use crate::gpu::{self, Gpu};
@@ -239,9 +239,6 @@ const GROUPS_A_TILE: u32 = TILE * TILE / WORKGROUP;
 
 /// Ranges of depths below this share of them are roundings, and not split.
 const LEAST_RANGE: f64 = 1.0 / (1 << 16) as f64;
-
-/// How far depths of one surface may differ, as a fraction of the view's height there.
-const SAME_SURFACE: f64 = 0.005;
 
 /// A tile's tally where some point is seen and some is not.
 const DIFFERENT: u32 = 3;
@@ -603,7 +600,11 @@ impl<'a> Work<'a> {
                 *state |= own;
             }
         }
-        let in_penumbra: Vec<bool> = (0..self.tiles()).map(|tile| self.around(tile, &states) == DIFFERENT).collect();
+        let columns = self.job().tile_columns;
+        let seen = |tile: u32| {
+            around([tile], columns, self.tiles()).into_iter().fold(0, |all, tile| all | states[tile as usize])
+        };
+        let in_penumbra: Vec<bool> = (0..self.tiles()).map(|tile| seen(tile) == DIFFERENT).collect();
         let mut refined = Vec::new();
         for (split, tallies) in splits.iter().zip(&tallies) {
             let tiles = match refinement {
@@ -618,16 +619,6 @@ impl<'a> Work<'a> {
         }
         self.splits = splits;
         Ok(refined)
-    }
-
-    /// What the first points see in a tile and in those around it: the edge that one misses may be seen by its neighbours'.
-    fn around(&self, tile: u32, states: &[u32]) -> u32 {
-        let columns = self.job().tile_columns;
-        let rows = self.tiles() / columns;
-        let near = |at: u32, count: u32| at.saturating_sub(1)..(at + 2).min(count);
-        let ring = near(tile / columns, rows)
-            .flat_map(|y| near(tile % columns, columns).map(move |x| states[(y * columns + x) as usize]));
-        ring.fold(0, |all, state| all | state)
     }
 
     /// Shows what all splits have seen, and smooths it in the tiles that were refined.
