@@ -2,6 +2,7 @@
 // `LightView`, positions relative to its origin.
 
 #import "lib/face.wgsl"
+#import "lib/receiver.wgsl"
 
 /// A point of the light (the direction to it of a distant one). Twin of `LightPoint` in `gpu/shadow_map.rs`.
 struct LightPoint {
@@ -17,22 +18,8 @@ struct LightPoint {
     padding_2: vec2<u32>,
 }
 
-/// A receiver. Twin of `Receiver` in `gpu/light_view.rs`.
-struct Receiver {
-    position: vec3<f32>,
-    /// Of its pixel.
-    number: u32,
-    /// Geometric, unit, on the camera's side.
-    normal: vec3<f32>,
-    /// What it lies on.
-    instance: u32,
-    shading_normal: vec3<f32>,
-    padding_2: u32,
-}
-
 @group(0) @binding(0) var<storage, read> faces: array<Face>;
 @group(0) @binding(1) var<storage, read> points: array<LightPoint>;
-@group(0) @binding(2) var<storage, read> receivers: array<Receiver>;
 @group(0) @binding(3) var shadow_depth: texture_depth_2d_array;
 
 /// How far a surface may rise above a receiver's tangent plane before it blocks, in texels: see `gpu/shadow_map.rs`.

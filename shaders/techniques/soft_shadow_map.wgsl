@@ -10,6 +10,7 @@
 #import "lib/shadow_map.wgsl"
 #import "lib/screen.wgsl"
 #import "lib/counter.wgsl"
+#import "lib/arctangent.wgsl"
 
 /// Twin of `Splat` in `techniques/soft_shadow_map.rs`.
 struct Splat {
@@ -56,16 +57,6 @@ fn half_disk(x: f32) -> f32 {
     return 0.5 * (x * turn + 2.0 * arctangent(x / (1.0 + turn)));
 }
 
-/// Of −1 to 1. The language promises 4096 roundings of its own; this series ends in less than one.
-fn arctangent(x: f32) -> f32 {
-    let is_large = abs(x) > 0.41421356;
-    let t = select(abs(x), (abs(x) - 1.0) / (abs(x) + 1.0), is_large);
-    let z = t * t;
-    let series = 1.0 + z * (-1.0 / 3.0 + z * (1.0 / 5.0 + z * (-1.0 / 7.0 + z * (1.0 / 9.0 + z * (-1.0 / 11.0
-        + z * (1.0 / 13.0 - z / 15.0))))));
-    return sign(x) * (select(0.0, 0.25 * PI, is_large) + t * series);
-}
-
 /// The share of the unit disk that a rectangle covers.
 fn disk_share(low: vec2<f32>, high: vec2<f32>) -> f32 {
     let a = clamp(low, vec2(-1.0), vec2(1.0));
@@ -80,8 +71,6 @@ fn disk_share(low: vec2<f32>, high: vec2<f32>) -> f32 {
     }
     return max(disk_below(a.x, b.x, b.y) - disk_below(a.x, b.x, a.y), 0.0) / PI;
 }
-
-const PI: f32 = 3.14159265358979;
 
 /// The share of the light that a patch hides, from `low` to `high` around a receiver's own place in the map, where the light is
 /// `half` wide to either side.

@@ -7,4 +7,5 @@ pub mod irradiance;
 pub mod outline;
 mod quadrature;
 pub mod shaft;
+pub mod surface;
 pub mod triangle;

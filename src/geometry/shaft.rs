@@ -50,6 +50,13 @@ impl Shaft {
         Self { union: a.union(*b), planes }
     }
 
+    /// Planes around it: outward normals, and the largest offset along each.
+    pub fn planes(&self) -> impl Iterator<Item = (DVec3, f64)> {
+        let Bounds { min, max } = self.union;
+        let of_union = [DVec3::X, DVec3::Y, DVec3::Z].map(|axis| [(axis, axis.dot(max)), (-axis, -axis.dot(min))]);
+        of_union.into_iter().flatten().chain(self.planes.iter().copied())
+    }
+
     /// Whether a box reaches nowhere inside: at most it touches the hull, as a floor does that all receivers lie on or above. It
     /// blocks nothing then but segments within its own face.
     pub fn holds_nothing_of(&self, bounds: &Bounds) -> bool {

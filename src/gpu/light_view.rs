@@ -19,7 +19,7 @@ use crate::scene::{AreaLight, Bounds};
 use crate::techniques::{Frame, LightImage, Linking};
 
 gpu_struct! {
-    /// Twin of `Receiver` in `lib/shadow_map.wgsl`.
+    /// Twin of `Receiver` in `lib/receiver.wgsl`.
     pub struct GpuReceiver as Receiver {
         /// On the GPU's scale.
         pub position: Vec3,
@@ -277,7 +277,7 @@ impl<'a> LightView<'a> {
     }
 
     /// The hull of the light and a box, both on the GPU's scale.
-    fn shaft(&self, light: &AreaLight, receivers: &Bounds) -> Shaft {
+    pub fn shaft(&self, light: &AreaLight, receivers: &Bounds) -> Shaft {
         let DrawSpace { origin, unit } = self.space;
         let in_scene = |bounds: &Bounds| Bounds { min: origin + unit * bounds.min, max: origin + unit * bounds.max };
         // A sun's box is beyond all that can block it.

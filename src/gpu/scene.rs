@@ -1,6 +1,6 @@
 //! A scene's geometry on the GPU, and lists of what to draw of it.
 
-use std::collections::HashMap;
+use std::collections::{BTreeSet, HashMap};
 use std::sync::Arc;
 
 use glam::{DAffine3, DVec3, Vec2, Vec3, Vec4};
@@ -186,6 +186,11 @@ impl DrawList {
             numbers: self.numbers.clone(),
             units: self.units.iter().filter(is_wanted).copied().collect(),
         }
+    }
+
+    /// The scene's instances of which it has parts, in their order.
+    pub fn instances(&self) -> BTreeSet<usize> {
+        self.units.iter().map(|unit| self.numbers[unit.instance as usize] as usize).collect()
     }
 
     /// Whether it holds nothing.

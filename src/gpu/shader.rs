@@ -8,6 +8,7 @@ use super::Gpu;
 
 /// Every file of `shaders/`, by its path there. A test holds the list against the folder.
 pub const SOURCES: &[(&str, &str)] = &[
+    ("lib/arctangent.wgsl", include_str!("../../shaders/lib/arctangent.wgsl")),
     ("lib/back_projection.wgsl", include_str!("../../shaders/lib/back_projection.wgsl")),
     ("lib/counter.wgsl", include_str!("../../shaders/lib/counter.wgsl")),
     ("lib/cutout.wgsl", include_str!("../../shaders/lib/cutout.wgsl")),
@@ -19,6 +20,7 @@ pub const SOURCES: &[(&str, &str)] = &[
     ("lib/look_up.wgsl", include_str!("../../shaders/lib/look_up.wgsl")),
     ("lib/min_max.wgsl", include_str!("../../shaders/lib/min_max.wgsl")),
     ("lib/pcss.wgsl", include_str!("../../shaders/lib/pcss.wgsl")),
+    ("lib/receiver.wgsl", include_str!("../../shaders/lib/receiver.wgsl")),
     ("lib/sampling.wgsl", include_str!("../../shaders/lib/sampling.wgsl")),
     ("lib/screen.wgsl", include_str!("../../shaders/lib/screen.wgsl")),
     ("lib/shadow_map.wgsl", include_str!("../../shaders/lib/shadow_map.wgsl")),
@@ -35,6 +37,7 @@ pub const SOURCES: &[(&str, &str)] = &[
     ("techniques/min_max_pcf.wgsl", include_str!("../../shaders/techniques/min_max_pcf.wgsl")),
     ("techniques/pcf.wgsl", include_str!("../../shaders/techniques/pcf.wgsl")),
     ("techniques/pcss.wgsl", include_str!("../../shaders/techniques/pcss.wgsl")),
+    ("techniques/shadow_volumes.wgsl", include_str!("../../shaders/techniques/shadow_volumes.wgsl")),
     ("techniques/soft_shadow_map.wgsl", include_str!("../../shaders/techniques/soft_shadow_map.wgsl")),
     ("techniques/temporal.wgsl", include_str!("../../shaders/techniques/temporal.wgsl")),
     ("techniques/uniform.wgsl", include_str!("../../shaders/techniques/uniform.wgsl")),

@@ -12,6 +12,7 @@ pub mod min_max_pcf;
 pub mod pcf;
 pub mod pcss;
 pub mod rays;
+pub mod shadow_volumes;
 pub mod soft_shadow_map;
 pub mod temporal;
 pub mod uniform;
@@ -44,6 +45,7 @@ pub const ALL: &[Entry] = &[
     min_max_backprojection::ENTRY,
     bitmask::ENTRY,
     soft_shadow_map::ENTRY,
+    shadow_volumes::ENTRY,
     uniform::ENTRY,
     adaptive::ENTRY,
     temporal::ENTRY,
