@@ -16,9 +16,16 @@ pub struct Progress {
     done: AtomicU64,
     total: AtomicU64,
     cancelled: AtomicBool,
+    /// Shown as lines for a program to read, not as a bar.
+    pub as_lines: bool,
 }
 
 impl Progress {
+    /// Shown as lines for a program to read, or as a bar.
+    pub fn new(as_lines: bool) -> Self {
+        Self { as_lines, ..Self::default() }
+    }
+
     /// Starts a new piece of work of `total` steps.
     pub fn begin(&self, total: u64) {
         self.done.store(0, Ordering::Relaxed);

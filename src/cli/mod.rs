@@ -32,6 +32,9 @@ use crate::{Error, output};
 struct Cli {
     #[command(subcommand)]
     command: Command,
+    /// Writes progress to stderr as lines `progress: PERCENT LABEL`, for programs that run this one
+    #[arg(long, global = true, hide_short_help = true)]
+    progress: bool,
 }
 
 const EXAMPLES: &str = "\
@@ -64,7 +67,7 @@ enum Command {
 /// Runs the command line. Errors become one line on stderr.
 pub fn main() -> ExitCode {
     let cli = Cli::parse_from(scene_options::with_floor_spelled_out(std::env::args_os()));
-    let progress = Arc::new(Progress::default());
+    let progress = Arc::new(Progress::new(cli.progress));
     stop_on_ctrl_c(Arc::clone(&progress));
     let result = match &cli.command {
         Command::Render(arguments) => render::run(arguments, &progress),
@@ -106,17 +109,27 @@ fn stop_on_ctrl_c(progress: Arc<Progress>) {
     }
 }
 
-/// Runs `work` while a bar on stderr (if that is a terminal) shows how far it is.
+/// Runs `work` while a bar on stderr (if that is a terminal), or lines if they are asked for, show how far it is.
 fn with_bar<T: Send>(label: &str, progress: &Progress, work: impl FnOnce() -> T + Send) -> T {
     let style = ProgressStyle::with_template("{msg:>12} [{bar:40}] {percent:>3} % {elapsed} (left: {eta})");
     let bar = ProgressBar::new(0).with_style(style.expect("the template is valid").progress_chars("=> "));
     bar.set_message(label.to_owned());
+    let mut last_line = String::new();
     std::thread::scope(|scope| {
         let worker = scope.spawn(work);
         while !worker.is_finished() {
             let (done, total) = progress.state();
-            bar.set_length(total);
-            bar.set_position(done);
+            if progress.as_lines {
+                let line = format!("progress: {} {label}", 100 * done.min(total) / total.max(1));
+                if line != last_line {
+                    // Nobody left to tell if stderr is closed.
+                    let _ = writeln!(std::io::stderr(), "{line}");
+                    last_line = line;
+                }
+            } else {
+                bar.set_length(total);
+                bar.set_position(done);
+            }
             std::thread::park_timeout(Duration::from_millis(20));
         }
         bar.finish_and_clear();

@@ -1,0 +1,284 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""From an evaluated dependency graph to arrays, on Blender's main thread: modifiers, instances, visibility as Blender has them."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import bpy
+import numpy as np
+
+from . import glb, lights
+
+# What Blender evaluates to a mesh.
+_MESH_LIKE = {"MESH", "CURVE", "SURFACE", "FONT", "META"}
+# What has no surface of its own.
+_WITHOUT_SURFACE = {"ARMATURE", "CAMERA", "EMPTY", "LATTICE", "LIGHT", "LIGHT_PROBE", "LIGHTPROBE", "SPEAKER"}
+_DEFAULT_COLOR = (0.8, 0.8, 0.8)
+
+
+class ExtractError(ValueError):
+    """The scene can't be shown as Blender shows it; the message is one line for the user."""
+
+
+def view_height_fraction(*, sensor_fit: str, width_px: float, height_px: float) -> float:
+    """Height of the view per unit of the length that the sensor (or `ortho_scale`) stands for."""
+    fit_width = sensor_fit == "HORIZONTAL" or (sensor_fit == "AUTO" and width_px >= height_px)
+    return height_px / width_px if fit_width else 1.0
+
+
+def camera_of(camera_object: bpy.types.Object, *, size: tuple[int, int], pixel_aspect: float = 1.0) -> glb.Camera:
+    """A camera as it frames an image of `size` pixels. `pixel_aspect`: width of a pixel over its height."""
+    camera = camera_object.data
+    name = camera_object.name
+    if pixel_aspect != 1.0:
+        raise ExtractError(f"camera {name!r}: pixels that are not square are not supported; set both aspects to 1")
+    if camera.type not in {"PERSP", "ORTHO"}:
+        raise ExtractError(f"camera {name!r}: {camera.type.lower()} cameras are not supported; use perspective or orthographic")
+    if camera.shift_x != 0.0 or camera.shift_y != 0.0:
+        raise ExtractError(f"camera {name!r}: lens shift is not supported; set both shifts to 0")
+    width, height = size
+    fraction = view_height_fraction(sensor_fit=camera.sensor_fit, width_px=width, height_px=height)
+    world_from_camera = glb.rigid(np.array(camera_object.matrix_world, dtype=float))
+    # Blender lets far be below near; nothing is seen then, and glTF has no such camera.
+    near, far = camera.clip_start, max(camera.clip_end, math.nextafter(camera.clip_start, math.inf))
+    placed = {"world_from_camera": world_from_camera, "near": near, "far": far}
+    if camera.type == "ORTHO":
+        return glb.Camera(**placed, half_height=0.5 * camera.ortho_scale * fraction)
+    # The sensor's height counts only where it is what fits.
+    sensor = camera.sensor_height if camera.sensor_fit == "VERTICAL" else camera.sensor_width
+    return glb.Camera(**placed, fov_y=2.0 * math.atan(0.5 * sensor * fraction / camera.lens))
+
+
+def view_camera(window_matrix: Any, view_matrix: Any, *, is_perspective: bool, near: float, far: float) -> glb.Camera:
+    """The camera of a 3D view's region, whose window has its centre on the view axis."""
+    world_from_camera = glb.rigid(np.linalg.inv(np.array(view_matrix, dtype=float)))
+    slope = 1.0 / window_matrix[1][1]
+    if is_perspective:
+        return glb.Camera(world_from_camera, near=near, far=far, fov_y=2.0 * math.atan(slope))
+    # A parallel view begins far behind its centre: Blender puts the near plane there.
+    back = np.eye(4)
+    back[2, 3] = far
+    return glb.Camera(world_from_camera @ back, near=0.0, far=2.0 * far, half_height=slope)
+
+
+def _base_color(material: bpy.types.Material | None, warnings: list[str]) -> tuple[float, float, float]:
+    """Linear colour of the diffuse surface that stands for a material."""
+    if material is None:
+        return _DEFAULT_COLOR
+    tree = material.node_tree if material.use_nodes else None
+    if tree is None:
+        return tuple(material.diffuse_color)[:3]
+    output = tree.get_output_node("CYCLES") or tree.get_output_node("ALL")
+    links = output.inputs["Surface"].links if output else ()
+    shader = links[0].from_node if links else None
+    socket = (
+        next((s for s in shader.inputs if s.name in {"Base Color", "Color"} and s.type == "RGBA"), None) if shader else None
+    )
+    if socket is None:
+        warnings.append(f"material {material.name!r}: no base colour is found; its viewport colour is used")
+        return tuple(material.diffuse_color)[:3]
+    if socket.is_linked:
+        warnings.append(f"material {material.name!r}: its base colour comes from nodes; its viewport colour is used")
+        return tuple(material.diffuse_color)[:3]
+    return tuple(socket.default_value)[:3]
+
+
+def _read(collection: Any, name: str, shape: tuple[int, ...], dtype: Any) -> np.ndarray:
+    values = np.empty(int(np.prod(shape)), dtype)
+    collection.foreach_get(name, values)
+    return values.reshape(shape)
+
+
+def _corner_vertices(mesh: bpy.types.Mesh) -> np.ndarray:
+    attribute = mesh.attributes.get(".corner_vert")
+    if attribute is not None:
+        return _read(attribute.data, "value", (len(mesh.loops),), np.int32)
+    return _read(mesh.loops, "vertex_index", (len(mesh.loops),), np.int32)
+
+
+def _normals_domain(mesh: bpy.types.Mesh) -> str:
+    """FACE (flat), POINT (smooth) or CORNER (both, or custom ones)."""
+    if hasattr(mesh, "normals_domain"):
+        return mesh.normals_domain
+    smooth = _read(mesh.polygons, "use_smooth", (len(mesh.polygons),), bool)
+    if not smooth.any():
+        return "FACE"
+    return "POINT" if smooth.all() and not (mesh.use_auto_smooth or mesh.has_custom_normals) else "CORNER"
+
+
+def _corner_normals(mesh: bpy.types.Mesh) -> np.ndarray:
+    if hasattr(mesh, "corner_normals"):
+        return _read(mesh.corner_normals, "vector", (len(mesh.loops), 3), np.float32)
+    mesh.calc_normals_split()
+    normals = _read(mesh.loops, "normal", (len(mesh.loops), 3), np.float32)
+    mesh.free_normals_split()
+    return normals
+
+
+def _triangle_materials(mesh: bpy.types.Mesh, count: int) -> np.ndarray:
+    attribute = mesh.attributes.get("material_index")
+    if attribute is not None and hasattr(mesh, "loop_triangle_polygons"):
+        by_face = _read(attribute.data, "value", (len(mesh.polygons),), np.int32)
+        return by_face[_read(mesh.loop_triangle_polygons, "value", (count,), np.int32)]
+    if attribute is None and hasattr(mesh, "normals_domain"):
+        return np.zeros(count, np.int32)
+    return _read(mesh.loop_triangles, "material_index", (count,), np.int32)
+
+
+def _mesh_arrays(mesh: bpy.types.Mesh, slots: list[int]) -> glb.Mesh | None:
+    """Triangles, vertices and normals of an evaluated mesh; none where it has no face. `slots`: material of each slot."""
+    mesh.calc_loop_triangles()
+    count = len(mesh.loop_triangles)
+    if count == 0:
+        return None
+    positions = _positions(mesh)
+    if not np.isfinite(positions).all():
+        raise ExtractError(f"mesh {mesh.name!r}: a vertex is not at a finite position")
+    if len(mesh.polygons) == count:
+        # All triangles already, which are then their faces' corners.
+        triangles = _corner_vertices(mesh).reshape(-1, 3)
+    else:
+        triangles = _read(mesh.loop_triangles, "vertices", (count, 3), np.int32)
+    domain = _normals_domain(mesh)
+    normals = None
+    if domain == "POINT":
+        normals = _read(mesh.vertex_normals, "vector", (len(mesh.vertices), 3), np.float32)
+    elif domain == "CORNER":
+        corners = _read(mesh.loop_triangles, "loops", (count * 3,), np.int32)
+        normals = _corner_normals(mesh)[corners]
+        positions = positions[triangles.reshape(-1)]
+        triangles = np.arange(3 * count, dtype=np.int32).reshape(-1, 3)
+    if normals is not None:
+        normals = _unit(normals)
+    parts = [(0, count, slots[0])]
+    if len(slots) > 1:
+        by_triangle = np.minimum(_triangle_materials(mesh, count), len(slots) - 1)
+        order = np.argsort(by_triangle, kind="stable")
+        triangles = triangles[order]
+        used, first, counts = np.unique(by_triangle[order], return_index=True, return_counts=True)
+        parts = [(int(f), int(c), slots[slot]) for slot, f, c in zip(used, first, counts)]
+    return glb.Mesh(positions, np.ascontiguousarray(triangles, np.uint32), normals, parts)
+
+
+def _positions(mesh: bpy.types.Mesh) -> np.ndarray:
+    attribute = mesh.attributes.get("position")
+    if attribute is not None:
+        return _read(attribute.data, "vector", (len(mesh.vertices), 3), np.float32)
+    return _read(mesh.vertices, "co", (len(mesh.vertices), 3), np.float32)
+
+
+def _unit(normals: np.ndarray) -> np.ndarray:
+    """Vertices of degenerate faces have no normal in Blender; glTF wants one, and no pixel shows it."""
+    lengths = np.sqrt(np.einsum("ij,ij->i", normals, normals))
+    normals[lengths == 0.0] = (0.0, 0.0, 1.0)
+    lengths[lengths == 0.0] = 1.0
+    normals /= lengths[:, None]
+    return normals
+
+
+class _Extraction:
+    """The scene as it grows."""
+
+    def __init__(self, depsgraph: bpy.types.Depsgraph) -> None:
+        self.depsgraph = depsgraph
+        self.scene = glb.Scene()
+        self.mesh_of: dict[tuple, int | None] = {}
+        self.material_of: dict[int, int] = {}
+        self.shadowless: set[str] = set()
+        self.light_objects: list[bpy.types.Object] = []
+
+    def material(self, material: bpy.types.Material | None) -> int:
+        key = material.as_pointer() if material else 0
+        if key not in self.material_of:
+            self.material_of[key] = len(self.scene.materials)
+            name = material.name if material else "default"
+            self.scene.materials.append((name, _base_color(material, self.scene.warnings)))
+        return self.material_of[key]
+
+    def mesh(self, instance_object: bpy.types.Object) -> int | None:
+        """Index of the evaluated mesh of an object: the same for all that share it."""
+        data = instance_object.data
+        slots = [self.material(slot.material) for slot in instance_object.material_slots] or [self.material(None)]
+        is_mesh = isinstance(data, bpy.types.Mesh)
+        owner = 0 if is_mesh else instance_object.original.as_pointer()
+        key = (data.as_pointer(), owner, tuple(slots))
+        if key not in self.mesh_of:
+            mesh = data if is_mesh else instance_object.to_mesh()
+            arrays = _mesh_arrays(mesh, slots) if mesh is not None else None
+            if not is_mesh:
+                instance_object.to_mesh_clear()
+            self.mesh_of[key] = None if arrays is None else len(self.scene.meshes)
+            if arrays is not None:
+                self.scene.meshes.append(arrays)
+        return self.mesh_of[key]
+
+    def warn_once(self, message: str) -> None:
+        if message not in self.scene.warnings:
+            self.scene.warnings.append(message)
+
+    def add(self, instance: bpy.types.DepsgraphObjectInstance) -> None:
+        item = instance.object
+        if item.type == "LIGHT":
+            self.add_light(instance)
+            return
+        if not instance.show_self:
+            return
+        if item.type not in _MESH_LIKE:
+            if item.type not in _WITHOUT_SURFACE:
+                self.warn_once(f"{item.type.lower()} objects are left out ({item.name!r})")
+            return
+        # Linking follows the object that makes the instances, as in Cycles.
+        owner = instance.parent.original if instance.is_instance and instance.parent else item.original
+        index = self.mesh(item)
+        if index is None:
+            return
+        if not item.visible_shadow:
+            self.shadowless.add(owner.name)
+        if not item.visible_camera or item.is_holdout:
+            self.warn_once(f"object {owner.name!r} is hidden from the camera or a holdout, which is not supported: it is shown")
+        self.scene.copies.append(glb.Copy(owner.name, index, np.array(instance.matrix_world, dtype=float)))
+
+    def add_light(self, instance: bpy.types.DepsgraphObjectInstance) -> None:
+        item = instance.object
+        if not instance.show_self:
+            return
+        matrix = np.array(instance.matrix_world, dtype=float)
+        if lights.column_lengths(matrix)[1] == 0.0 or lights.column_lengths(matrix)[2] == 0.0:
+            raise ExtractError(f"light {item.name!r}: its scale is 0")
+        try:
+            block = lights.describe(item.data, matrix, version=bpy.app.version)
+        except lights.UnsupportedLight as error:
+            raise ExtractError(str(error)) from error
+        self.scene.lights.append(glb.Light(self.unique_light_name(item.original.name), block, glb.rigid(matrix)))
+        self.light_objects.append(item.original)
+
+    def unique_light_name(self, name: str) -> str:
+        """A light that instances repeat is a light of its own: `#2` and so on, as the binary names them."""
+        taken = {light.name for light in self.scene.lights}
+        candidates = (f"{name}#{number}" for number in range(2, len(taken) + 3))
+        return name if name not in taken else next(candidate for candidate in candidates if candidate not in taken)
+
+
+def extract(depsgraph: bpy.types.Depsgraph, camera: glb.Camera) -> glb.Scene:
+    """All that a depsgraph shows, seen from `camera`."""
+    extraction = _Extraction(depsgraph)
+    for instance in depsgraph.object_instances:
+        extraction.add(instance)
+    scene = extraction.scene
+    scene.cameras.append(camera)
+    names = {copy.name for copy in scene.copies}
+    for light, light_object in zip(scene.lights, extraction.light_objects):
+        lights.add_linking(light.block, light_object, names, extraction.shadowless)
+    if not scene.copies:
+        raise ExtractError("nothing to render: the scene shows no surface")
+    if not scene.lights:
+        raise ExtractError("no light to render: add an area, point, spot or sun light")
+    return scene
+
+
+def render_size(render: bpy.types.RenderSettings) -> tuple[int, int]:
+    """Width and height of the full frame, pixels."""
+    scale = render.resolution_percentage / 100.0
+    return max(1, int(render.resolution_x * scale)), max(1, int(render.resolution_y * scale))
