@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Export: glTF and USD through Blender's own exporters, with what they lose of lights put back, and the geometry of a render as a
-plain GLB. The user's scene stays as it is."""
+"""Export: glTF and USD through Blender's own exporters, with what they lose of lights put back, and the geometry of a render as
+a plain GLB. The user's scene stays as it is."""
 
 from __future__ import annotations
 
@@ -112,7 +112,7 @@ class PENUMBRA_OT_export_gltf(_Export, bpy.types.Operator):
             (
                 "RENDER",
                 "As rendered",
-                "Exactly what a final render evaluates at this frame, with base colours; instances are kept",
+                "What a final render evaluates at this frame, with base colours; instances are kept",
             ),
         ],
     )

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""From an evaluated dependency graph to arrays, on Blender's main thread: modifiers, instances, visibility as Blender has them."""
+"""From an evaluated dependency graph to arrays, on Blender's main thread: modifiers, instances, visibility as Blender has."""
 
 from __future__ import annotations
 

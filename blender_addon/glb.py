@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A scene as arrays, and the binary glTF file that the penumbra binary reads. Nothing here imports bpy.
 
-Everything is in Blender's axes (Z up, metres); the file's (Y up) differ by a rotation in front of the nodes' transforms, so that
-vertices are written as they are.
+Everything is in Blender's axes (Z up, metres); the file's (Y up) differ by a rotation in front of the nodes' transforms, so
+that vertices are written as they are.
 """
 
 from __future__ import annotations

@@ -6,7 +6,8 @@ Nothing here imports bpy: lights and objects are read by their attributes.
 Radiance as Cycles has it, measured against closed forms within 0.02 % on each version (P: power in W, A: area in m²):
 
 - area: L = P / (π A), from 4.2 on; P / (4 A) before 4.0, where the power was meant for another lobe;
-- point and spot of radius r: L = P / (4π · π r²), as a disk that faces the receiver (soft falloff) or a sphere; no radius: I = P / 4π;
+- point and spot of radius r: L = P / (4π · π r²), as a disk that faces the receiver (soft falloff) or a
+  sphere; without a radius I = P / 4π;
 - sun: irradiance at normal incidence is the strength, whatever the angle.
 """
 
@@ -53,7 +54,7 @@ def _plain_emission(light: Any) -> tuple[tuple[float, float, float], float]:
     emission = links[0].from_node
     if emission.type != "EMISSION" or any(socket.is_linked for socket in emission.inputs):
         raise UnsupportedLight(
-            f"light {light.name!r}: its nodes are more than a plain Emission, which Penumbra doesn't evaluate; turn off Use Nodes"
+            f"light {light.name!r}: its nodes are more than a plain Emission, which is not supported; turn off Use Nodes"
         )
     return tuple(emission.inputs["Color"].default_value)[:3], emission.inputs["Strength"].default_value
 
@@ -148,8 +149,8 @@ def linked_names(collection: Any) -> tuple[set[str], set[str]]:
 
 
 def excluded_names(collection: Any, all_names: set[str]) -> list[str]:
-    """Which of `all_names` a linking collection leaves out: all but its included objects where it includes any, and its excluded
-    ones."""
+    """Which of `all_names` a linking collection leaves out: all but its included objects where it includes any, and its
+    excluded ones."""
     if collection is None:
         return []
     included, excluded = linked_names(collection)

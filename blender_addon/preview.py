@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Previews beside any render engine: extracted on the main thread, rendered by the binary in the background, shown as images.
 
-The evaluation is that of a final render (render visibility, render subdivision): a temporary copy of the scene is handed to this
-add-on's engine, which only reads it. Blender has no other way to a dependency graph of renders.
+The evaluation is that of a final render (render visibility, render subdivision): a temporary copy of the scene is handed to
+this add-on's engine, which only reads it. Blender has no other way to a dependency graph of renders.
 """
 
 from __future__ import annotations
@@ -128,7 +128,8 @@ class Preview:
         width, height = result.size
         record = result.record
         self.caption = [
-            f"{record['technique']}, {width} x {height}, {record['scene']['triangles']:,} triangles, {record['adapter']['name']}",
+            f"{record['technique']}, {width} x {height}, {record['scene']['triangles']:,} triangles,"
+            f" {record['adapter']['name']}",
             f"Render {record['time_ms']['render'] / 1e3:.2f} s, all {self.extract_seconds + self.job.elapsed_seconds:.2f} s",
         ]
         verified = job.verified_line(record)

@@ -40,7 +40,7 @@ def executable_name() -> str:
 
 
 def find(preferred: str = "") -> Path:
-    """The binary: where the preference says, else beside the interpreter's packages (the extension's wheel), else on the PATH."""
+    """The binary: where the preference says, else in the extension's wheel, else on the PATH."""
     if preferred:
         path = Path(preferred)
         if not path.is_file():

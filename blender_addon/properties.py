@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Settings of a scene. Techniques, presets and parameters are those that the binary lists; here are only their chosen values."""
+"""Settings of a scene. Techniques, presets and parameters are the binary's; here are only their chosen values."""
 
 from __future__ import annotations
 
