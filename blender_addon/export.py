@@ -91,8 +91,9 @@ class _Export(ExportHelper):
             self.report({"ERROR"}, process.describe_os_error(error, f"exporting {path.name}"))
             return {"CANCELLED"}
         except RuntimeError as error:
-            # What Blender's exporter says.
-            self.report({"ERROR"}, " ".join(str(error).split()))
+            # What Blender's exporter says: where that is a traceback, its last line tells.
+            lines = [line.strip() for line in str(error).splitlines() if line.strip() and not line.startswith("Location:")]
+            self.report({"ERROR"}, f"Blender's exporter failed: {lines[-1] if lines else error}")
             return {"CANCELLED"}
         self.report({"INFO"}, f"wrote {path}")
         return {"FINISHED"}

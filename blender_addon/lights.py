@@ -9,6 +9,10 @@ Radiance as Cycles has it, measured against closed forms within 0.02 % on each v
 - point and spot of radius r: L = P / (4π · π r²), as a disk that faces the receiver (soft falloff) or a
   sphere; without a radius I = P / 4π;
 - sun: irradiance at normal incidence is the strength, whatever the angle.
+
+Without normalisation (from 4.5 on): area L = P / π; point and spot L = P / π, I = P / π without a radius; sun: the strength is a
+radiance. Version 3.4 has its own spots with a radius (0.4 % darker) and suns wider than some degrees (17 % darker at 90°), which
+are not followed.
 """
 
 from __future__ import annotations
@@ -93,24 +97,22 @@ def describe(light: Any, matrix_world: Any, *, version: tuple[int, int, int]) ->
         block |= {"shape": "sphere" if light.type == "POINT" else "spot"}
         radius = light.shadow_soft_size
         if radius > 0.0:
-            # Without normalisation Cycles emits what a light of 1 m² would, per area.
-            facing_area = math.pi * radius * radius if normalize else 1.0
-            block |= {"radius": radius, "radiance": emit(light.energy / (4.0 * math.pi * facing_area))}
+            surface = 4.0 * math.pi * radius * radius if normalize else 1.0
+            block |= {"radius": radius, "radiance": emit(light.energy / (math.pi * surface))}
             block["facing"] = getattr(light, "use_soft_falloff", True)
         else:
             if light.type == "POINT":
                 block["shape"] = "point"
-            block["intensity"] = emit(light.energy / (4.0 * math.pi))
+            block["intensity"] = emit(light.energy / (math.pi * (4.0 if normalize else 1.0)))
         if light.type == "SPOT":
-            outer = 0.5 * light.spot_size
-            if outer > 0.5 * math.pi:
-                raise UnsupportedLight(f"light {light.name!r}: a spot of more than 180° is not supported; use a point light")
+            # Blender's 180° is a float, and a little more.
+            outer = min(0.5 * light.spot_size, 0.5 * math.pi)
             # Cycles blends in the cosine: full within cos = cos(outer) + blend (1 − cos(outer)).
             inner = math.acos(min(1.0, math.cos(outer) + light.spot_blend * (1.0 - math.cos(outer))))
             block |= {"inner_cone": min(inner, outer), "outer_cone": outer}
     elif light.type == "SUN":
-        # Without normalisation the strength is that of the whole disc: irradiance grows with the disc's measure.
-        disc = 1.0 if normalize else math.pi * math.tan(0.5 * light.angle) ** 2
+        # Without normalisation the strength is a radiance, as long as there is an angle.
+        disc = 1.0 if normalize or light.angle == 0.0 else math.pi * math.sin(0.5 * light.angle) ** 2
         block |= {"shape": "sun", "angle": light.angle, "irradiance": emit(light.energy * disc)}
     else:
         raise UnsupportedLight(f"light {light.name!r}: lights of type {light.type} are not supported")

@@ -8,6 +8,7 @@ this add-on's engine, which only reads it. Blender has no other way to a depende
 from __future__ import annotations
 
 import time
+import traceback
 from collections.abc import Callable
 from typing import Any
 
@@ -194,7 +195,11 @@ def _poll() -> float | None:
     preview = Preview.current
     if preview is None:
         return None
-    goes_on = preview.step()
+    try:
+        goes_on = preview.step()
+    except Exception as error:  # A timer that raises is dropped, and the panel would wait for ever.
+        traceback.print_exc()
+        goes_on, preview.message = False, f"the preview could not be shown: {type(error).__name__}: {error}"
     images.redraw()
     if not goes_on and preview.images:
         images.show(preview.images[0])

@@ -60,6 +60,16 @@ class ParameterOverride(bpy.types.PropertyGroup):
         except ValueError:
             return 0.0
 
+    def _bool(self) -> bool:
+        return self.value == "true"
+
+    def _set_bool(self, on: bool) -> None:
+        self.value = "true" if on else "false"
+
+    def _int(self) -> int:
+        # Blender's integers have 32 bits.
+        return min(int(self._number()), 2**31 - 1)
+
     def _set_int(self, number: int) -> None:
         self.value = str(int(self._clamped(number)))
 
@@ -71,20 +81,23 @@ class ParameterOverride(bpy.types.PropertyGroup):
         parameter = self.parameter()
         return _items(f"{self.technique}.{self.name}", list(parameter.choices) if parameter else [], self.value)
 
+    def _choice(self) -> int:
+        return _number_of(self._choice_items(None), self.value)
+
     def _set_choice(self, number: int) -> None:
         self.value = next(item[0] for item in self._choice_items(None) if item[3] == number)
 
     as_bool: bpy.props.BoolProperty(
         name="On",
-        get=lambda self: self.value == "true",
-        set=lambda self, value: setattr(self, "value", "true" if value else "false"),
+        get=_bool,
+        set=_set_bool,
     )
-    as_int: bpy.props.IntProperty(name="Value", get=lambda self: min(int(self._number()), 2**31 - 1), set=_set_int)
+    as_int: bpy.props.IntProperty(name="Value", get=_int, set=_set_int)
     as_float: bpy.props.FloatProperty(name="Value", precision=4, get=_number, set=_set_float)
     as_choice: bpy.props.EnumProperty(
         name="Value",
         items=_choice_items,
-        get=lambda self: _number_of(self._choice_items(None), self.value),
+        get=_choice,
         set=_set_choice,
     )
 
@@ -105,6 +118,9 @@ class PenumbraSettings(bpy.types.PropertyGroup):
         entries = [(t.name, f"{t.summary}. {t.paper}. Needs: {t.needs}") for t in known_techniques()]
         return _items("technique", entries, self.technique_name)
 
+    def _technique(self) -> int:
+        return _number_of(self._technique_items(None), self.technique_name)
+
     def _set_technique(self, number: int) -> None:
         self.technique_name = next(item[0] for item in self._technique_items(None) if item[3] == number)
         self.preset_name = ""
@@ -117,6 +133,9 @@ class PenumbraSettings(bpy.types.PropertyGroup):
         _kept_items["preset"] = [(name or "best", name or "best", text, number) for name, _, text, number in items]
         return _kept_items["preset"]
 
+    def _preset(self) -> int:
+        return _number_of(self._preset_items(None), self.preset_name or "best")
+
     def _set_preset(self, number: int) -> None:
         name = next(item[0] for item in self._preset_items(None) if item[3] == number)
         self.preset_name = "" if number == 0 else name
@@ -127,6 +146,9 @@ class PenumbraSettings(bpy.types.PropertyGroup):
         entries = [("ALL LIGHTS", "Every light of the scene"), *((name, f"Only {name}") for name in names)]
         return _items("light", entries, self.light_name or "ALL LIGHTS")
 
+    def _light(self) -> int:
+        return _number_of(self._light_items(None), self.light_name or "ALL LIGHTS")
+
     def _set_light(self, number: int) -> None:
         name = next(item[0] for item in self._light_items(None) if item[3] == number)
         self.light_name = "" if number == 0 else name
@@ -135,21 +157,21 @@ class PenumbraSettings(bpy.types.PropertyGroup):
         name="Technique",
         description="How visibility is found",
         items=_technique_items,
-        get=lambda self: _number_of(self._technique_items(None), self.technique_name),
+        get=_technique,
         set=_set_technique,
     )
     preset: bpy.props.EnumProperty(
         name="Preset",
         description="The technique's settings to start from",
         items=_preset_items,
-        get=lambda self: _number_of(self._preset_items(None), self.preset_name or "best"),
+        get=_preset,
         set=_set_preset,
     )
     light: bpy.props.EnumProperty(
         name="Light",
         description="Which lights the preview shows",
         items=_light_items,
-        get=lambda self: _number_of(self._light_items(None), self.light_name or "ALL LIGHTS"),
+        get=_light,
         set=_set_light,
     )
     device: bpy.props.EnumProperty(

@@ -1,0 +1,189 @@
+"""Previews without a window: the job's own step function, what is shown of it, and its settings."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import time
+
+import bpy
+import numpy as np
+import pytest
+from conftest import BINARY, MODULE, add_light, override, read_exr
+
+
+def pixels(name: str) -> np.ndarray:
+    """Red of an image, (height, width), bottom row first."""
+    image = bpy.data.images[name]
+    values = np.empty(image.size[0] * image.size[1] * 4, np.float32)
+    image.pixels.foreach_get(values)
+    return values.reshape(image.size[1], image.size[0], 4)[..., 0]
+
+
+def start(scene):
+    """A running preview."""
+    module = sys.modules[f"{MODULE}.preview"]
+    module.Preview.current = module.start(bpy.context)
+    return module.Preview.current
+
+
+@pytest.mark.timeout(120)
+def test_a_preview_comes_step_by_step_and_is_what_the_binary_writes(scene, tmp_path):
+    scene.penumbra.verify = 64
+    preview = start(scene)
+    while preview.step():
+        time.sleep(0.01)
+    assert preview.message == ""
+    assert preview.images == ["Penumbra Key"]
+    assert any("rays" in line for line in preview.caption)
+    assert any("at 64 receivers" in line for line in preview.caption)
+    path = tmp_path / "scene.glb"
+    assert bpy.ops.penumbra.export_gltf(filepath=str(path), evaluation="RENDER") == {"FINISHED"}
+    image = tmp_path / "image.exr"
+    subprocess.run([BINARY, "render", path, "-o", image, "--size", "64x48", "--set", "samples=4"], check=True)
+    # The same bits, rows turned upside down.
+    assert np.array_equal(pixels("Penumbra Key"), read_exr(image)["Key.visibility"][::-1])
+
+
+@pytest.mark.timeout(120)
+def test_a_preview_leaves_scene_settings_and_last_render_alone(scene):
+    scene.render.engine = "CYCLES"
+    before = {p.identifier: str(getattr(scene.render, p.identifier)) for p in scene.render.bl_rna.properties}
+    scenes = list(bpy.data.scenes)
+    assert bpy.ops.penumbra.preview() == {"FINISHED"}
+    assert {p.identifier: str(getattr(scene.render, p.identifier)) for p in scene.render.bl_rna.properties} == before
+    assert list(bpy.data.scenes) == scenes
+    assert bpy.context.scene == scene
+
+
+@pytest.mark.timeout(120)
+def test_lights_and_quantities_are_chosen(scene):
+    add_light(scene, "Fill", "POINT", location=(-3, -2, 4), energy=300.0, shadow_soft_size=0.3)
+    settings = scene.penumbra
+    assert bpy.ops.penumbra.preview() == {"FINISHED"}
+    assert {"Penumbra Key", "Penumbra Fill"} <= {image.name for image in bpy.data.images}
+    settings.light = "Fill"
+    settings.quantity = "irradiance"
+    assert bpy.ops.penumbra.preview() == {"FINISHED"}
+    assert sys.modules[f"{MODULE}.preview"].Preview.current.images == ["Penumbra Irradiance Fill"]
+    settings.light = "ALL LIGHTS"
+    settings.quantity = "shaded"
+    assert bpy.ops.penumbra.preview() == {"FINISHED"}
+    assert pixels("Penumbra Shaded").max() > 0.0
+
+
+@pytest.mark.timeout(120)
+def test_settings_come_from_the_binary_alone(scene):
+    listing = json.loads(subprocess.run([BINARY, "list", "--json"], capture_output=True, check=True).stdout)
+    settings = scene.penumbra
+    properties = sys.modules[f"{MODULE}.properties"]
+    offered = [item[0] for item in properties.PenumbraSettings._technique_items(settings, None)]
+    assert offered == [technique["name"] for technique in listing["techniques"]]
+    for technique in listing["techniques"]:
+        settings.technique = technique["name"]
+        assert settings.preset == "best"
+        for preset in technique["presets"]:
+            settings.preset = preset["name"]
+            assert settings.request((8, 8)).preset == preset["name"]
+        settings.preset = "best"
+        for parameter in technique["parameters"]:
+            assert bpy.ops.penumbra.override(parameter=parameter["name"]) == {"FINISHED"}
+        given = dict(settings.settings())
+        assert given.keys() == {parameter["name"] for parameter in technique["parameters"]}
+        for item in settings.overrides:
+            if item.technique != technique["name"]:
+                continue
+            parameter = next(p for p in technique["parameters"] if p["name"] == item.name)
+            kind = item.parameter().kind
+            if kind == "int":
+                for far, limit in ((-(2**31), parameter["minimum"]), (2**31 - 1, parameter["maximum"])):
+                    item.as_int = far
+                    assert float(item.value) == (far if limit is None else limit), item.name
+            elif kind == "float":
+                for far, limit in ((-1e30, parameter["minimum"]), (1e30, parameter["maximum"])):
+                    item.as_float = far
+                    assert limit is None or float(item.value) == pytest.approx(limit, rel=1e-6), item.name
+            elif kind == "choice":
+                for name, _ in parameter["choices"]:
+                    item.as_choice = name
+                    assert item.value == name
+            elif kind == "bool":
+                item.as_bool = not parameter["default"]
+                assert item.value == str(not parameter["default"]).lower()
+            assert bpy.ops.penumbra.override(parameter=item.name, remove=True) == {"FINISHED"} or True
+    settings.overrides.clear()
+
+
+@pytest.mark.timeout(120)
+def test_what_the_binary_refuses_is_shown_in_its_words(scene):
+    override(scene.penumbra, "no_such", "1")
+    with pytest.raises(RuntimeError, match="no_such"):
+        bpy.ops.penumbra.preview()
+
+
+@pytest.mark.timeout(120)
+def test_scenes_without_light_surface_or_camera_say_so(scene):
+    key = scene.objects["Key"]
+    key.hide_render = True
+    with pytest.raises(RuntimeError, match="no light to render"):
+        bpy.ops.penumbra.preview()
+    key.hide_render = False
+    for name in ("Floor", "Cube"):
+        scene.objects[name].hide_render = True
+    with pytest.raises(RuntimeError, match="no surface"):
+        bpy.ops.penumbra.preview()
+    for name in ("Floor", "Cube"):
+        scene.objects[name].hide_render = False
+    scene.camera = None
+    with pytest.raises(RuntimeError, match="camera"):
+        bpy.ops.penumbra.preview()
+    assert [s.name for s in bpy.data.scenes] == ["Scene"]
+
+
+@pytest.mark.timeout(120)
+@pytest.mark.parametrize(
+    ("values", "reason"), [(dict(shift_x=0.1), "lens shift"), (dict(type="PANO"), "pano cameras are not supported")]
+)
+def test_cameras_that_cannot_be_are_refused(scene, values, reason):
+    for key, value in values.items():
+        setattr(scene.camera.data, key, value)
+    with pytest.raises(RuntimeError, match=reason):
+        bpy.ops.penumbra.preview()
+
+
+@pytest.mark.timeout(120)
+@pytest.mark.parametrize("size", [(64, 48), (48, 64), (50, 50)])
+@pytest.mark.parametrize("fit", ["AUTO", "HORIZONTAL", "VERTICAL"])
+@pytest.mark.parametrize("kind", ["PERSP", "ORTHO"])
+def test_cameras_frame_as_blender_does(scene, size, fit, kind):
+    camera = scene.camera.data
+    camera.type, camera.sensor_fit, camera.sensor_width, camera.sensor_height = kind, fit, 36.0, 20.0
+    camera.lens, camera.ortho_scale = 40.0, 7.0
+    extract = sys.modules[f"{MODULE}.extract"]
+    ours = extract.camera_of(scene.camera, size=size)
+    depsgraph = bpy.context.evaluated_depsgraph_get()
+    matrix = scene.camera.calc_matrix_camera(depsgraph, x=size[0], y=size[1])
+    # The projection's (1, 1) is the reciprocal of half the view's height; Blender computes it in floats.
+    half_height = ours.half_height if kind == "ORTHO" else np.tan(0.5 * ours.fov_y)
+    assert half_height == pytest.approx(1.0 / matrix[1][1], rel=1e-6)
+
+
+@pytest.mark.timeout(120)
+def test_loading_another_file_forgets_the_preview(scene):
+    preview = start(scene)
+    bpy.ops.wm.read_homefile(use_empty=True)
+    preview.job.join()
+    assert preview.job.is_cancelled
+    assert sys.modules[f"{MODULE}.preview"].Preview.current is None
+    assert not [image for image in bpy.data.images if image.name.startswith("Penumbra")]
+
+
+@pytest.mark.timeout(120)
+def test_only_one_preview_runs(scene):
+    override(scene.penumbra, "samples", "1000000")
+    first = start(scene)
+    scene.penumbra.overrides.clear()
+    assert bpy.ops.penumbra.preview() == {"FINISHED"}
+    first.job.join(5)
+    assert first.job.is_cancelled
