@@ -14,8 +14,6 @@ bl_info = {
     "category": "Render",
 }
 
-import atexit
-
 import bpy
 
 from . import compare, engine, export, overlay, panels, preferences, preview, properties
@@ -39,18 +37,10 @@ def register() -> None:
         bpy.utils.register_class(cls)
     for module in _MODULES:
         module.register()
-    if getattr(bpy.app, "module", False):
-        # Blender 4.5 as a Python module hangs at exit while classes with methods are registered.
-        atexit.register(_unregister_at_exit)
-
-
-def _unregister_at_exit() -> None:
-    unregister()
 
 
 def unregister() -> None:
     """Called by Blender when the add-on is turned off."""
-    atexit.unregister(_unregister_at_exit)
     for module in reversed(_MODULES):
         module.unregister()
     for cls in reversed(_CLASSES):

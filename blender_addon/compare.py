@@ -54,7 +54,7 @@ def _cycles_scene(scene: bpy.types.Scene, size: tuple[int, int], samples: int) -
         copy.render.use_motion_blur = False
         # Alpha then tells where there is a surface.
         copy.render.film_transparent = True
-        if not material.use_nodes:
+        if bpy.app.version < (5, 0, 0):
             material.use_nodes = True
         nodes, links = material.node_tree.nodes, material.node_tree.links
         nodes.clear()
@@ -63,7 +63,7 @@ def _cycles_scene(scene: bpy.types.Scene, size: tuple[int, int], samples: int) -
         diffuse.inputs["Roughness"].default_value = 0.0
         links.new(diffuse.outputs[0], output.inputs["Surface"])
         world.color = (0.0, 0.0, 0.0)
-        if world.use_nodes and world.node_tree:
+        if world.node_tree:
             for node in world.node_tree.nodes:
                 if node.type == "BACKGROUND":
                     node.inputs["Strength"].default_value = 0.0

@@ -108,6 +108,10 @@ class PenumbraRenderEngine(bpy.types.RenderEngine):
             traceback.print_exc()
             self._fail(depsgraph, f"rendering with Penumbra failed: {type(error).__name__}: {error}")
 
+    def is_stopped(self) -> bool:
+        """Whether the user has pressed Esc."""
+        return self.test_break()
+
     def _harvest(self, depsgraph: bpy.types.Depsgraph) -> None:
         try:
             preview.Harvest.current.take(depsgraph)
@@ -143,7 +147,7 @@ class PenumbraRenderEngine(bpy.types.RenderEngine):
         )
         work.start()
         while not work.is_done:
-            if self.test_break():
+            if self.is_stopped():
                 work.cancel()
             self.update_stats("Penumbra", f"{settings.technique_name}: {work.label}, {100 * work.fraction:.0f} %")
             self.update_progress(work.fraction)

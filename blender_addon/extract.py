@@ -67,7 +67,9 @@ def _base_color(material: bpy.types.Material | None, warnings: list[str]) -> tup
     """Linear colour of the diffuse surface that stands for a material."""
     if material is None:
         return _DEFAULT_COLOR
-    tree = material.node_tree if material.use_nodes else None
+    # Always on from Blender 5 on, where asking is deprecated.
+    has_nodes = bpy.app.version >= (5, 0, 0) or material.use_nodes
+    tree = material.node_tree if has_nodes else None
     if tree is None:
         return tuple(material.diffuse_color)[:3]
     output = tree.get_output_node("CYCLES") or tree.get_output_node("ALL")

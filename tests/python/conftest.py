@@ -147,8 +147,11 @@ def read_exr(path: Path) -> dict:
     """Channels of all parts by name, (height, width), top row first."""
     import OpenEXR
 
-    return {name: channel.pixels for part in OpenEXR.File(str(path), separate_channels=True).parts
-            for name, channel in part.channels.items()}
+    return {
+        name: channel.pixels
+        for part in OpenEXR.File(str(path), separate_channels=True).parts
+        for name, channel in part.channels.items()
+    }
 
 
 def fake_binary(path: Path, script: str) -> Path:

@@ -159,7 +159,9 @@ def test_temperature_and_a_plain_emission_node_tint_a_light(scene, exported):
     emission.inputs["Strength"].default_value = 2.5
     emission.inputs["Color"].default_value = (0.2, 0.4, 1.0, 1.0)
     lights = exported()
-    assert rgb(lights["Warm"]["emission"]) == pytest.approx([10 / math.pi * c for c in warm.data.temperature_color], rel=ROUNDING)
+    assert rgb(lights["Warm"]["emission"]) == pytest.approx(
+        [10 / math.pi * c for c in warm.data.temperature_color], rel=ROUNDING
+    )
     assert rgb(lights["Nodes"]["emission"]) == pytest.approx([25 / math.pi * c for c in (0.2, 0.4, 1.0)], rel=ROUNDING)
 
 
@@ -262,7 +264,9 @@ def test_usd_keeps_area_lights(scene, tmp_path):
     for name, (values, _, shape, size) in AREA.items():
         stage, prim = prims[name.replace(" ", "_")]
         assert usd_radiance(prim) == pytest.approx(area_radiance(values, size, shape == "disk"), rel=2 * ROUNDING), name
-        assert UsdLux.ShadowAPI(prim).GetShadowEnableAttr().Get() in ({None, True} if values.get("use_shadow", True) else {False})
+        assert UsdLux.ShadowAPI(prim).GetShadowEnableAttr().Get() in (
+            {None, True} if values.get("use_shadow", True) else {False}
+        )
         assert (prim.GetAttribute("penumbra:spread").Get() is not None) == (name == "spread"), name
         if shape == "disk":
             matrix = UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(0)
