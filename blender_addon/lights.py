@@ -10,9 +10,8 @@ Radiance as Cycles has it, measured against closed forms within 0.02 % on each v
   sphere; without a radius I = P / 4π;
 - sun: irradiance at normal incidence is the strength, whatever the angle.
 
-Without normalisation (from 4.5 on): area L = P / π; point and spot L = P / π, I = P / π without a radius; sun: the strength is a
-radiance. Version 3.4 has its own spots with a radius (0.4 % darker) and suns wider than some degrees (17 % darker at 90°), which
-are not followed.
+Without normalisation (from 4.5 on): area L = P / π; point and spot L = P / π, I = P / π without a radius; sun: the strength
+is a radiance. Spots with a radius (0.4 % darker) and wide suns (17 % darker at 90°) of version 3.4 are not followed.
 """
 
 from __future__ import annotations

@@ -35,12 +35,15 @@ def _draw() -> None:
     margin = _MARGIN_PX * scale
     line_height = 16 * scale
     lines = current.caption if current.images else ([current.message] if current.message else [])
+    # Right of the tools, which lie over the view.
+    tools = next((region for region in context.area.regions if region.type == "TOOLS"), None)
+    x = margin + (tools.width if tools is not None and tools.width > 1 else 0)
     y = margin
     _set_font_size(11 * scale)
     blf.enable(_FONT, blf.SHADOW)
     blf.shadow(_FONT, 3, 0.0, 0.0, 0.0, 0.9)
     for line in reversed(lines):
-        blf.position(_FONT, margin, y, 0)
+        blf.position(_FONT, x, y, 0)
         blf.color(_FONT, 1.0, 1.0, 1.0, 1.0)
         blf.draw(_FONT, line)
         y += line_height
@@ -51,7 +54,7 @@ def _draw() -> None:
     width = min(image.size[0], _WIDTH_FRACTION * context.region.width)
     height = width * image.size[1] / image.size[0]
     gpu.state.blend_set("NONE")
-    draw_texture_2d(gpu.texture.from_image(image), (margin, y + 0.25 * line_height), width, height, **_as_srgb())
+    draw_texture_2d(gpu.texture.from_image(image), (x, y + 0.25 * line_height), width, height, **_as_srgb())
 
 
 def _as_srgb() -> dict[str, bool]:

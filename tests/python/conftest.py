@@ -1,4 +1,4 @@
-"""Fixtures of the Blender tests. Each test file runs in a process of its own (scripts/test): there is one Blender in a process."""
+"""Fixtures of the Blender tests. scripts/test runs each file in a process of its own: there is one Blender in a process."""
 
 from __future__ import annotations
 
