@@ -89,9 +89,8 @@ def test_a_border_shows_the_same_pixels(scene, tmp_path, border, crop):
     r.border_min_x, r.border_max_x, r.border_min_y, r.border_max_y = border
     part = render(scene, tmp_path / "part.exr")
     left, bottom, right, top = sys.modules[f"{MODULE}.engine"].border_px(r, (64, 48))
-    assert (left, bottom, right, top) == tuple(
-        int(b * n) for b, n in zip((border[0], border[2], border[1], border[3]), (64, 48) * 2)
-    )
+    x0, x1, y0, y1 = border
+    assert (left, bottom, right, top) == (int(x0 * 64), int(y0 * 48), int(x1 * 64), int(y1 * 48))
     channel = "ViewLayer.Visibility Key.X"
     expected = full[channel][48 - top : 48 - bottom, left:right]
     if crop:

@@ -1,4 +1,4 @@
-"""Every kind of light keeps shape, size, emission, flags and linking: Blender → glTF and GLB → the binary; Blender → USD → pxr."""
+"""Every light keeps shape, size, emission, flags and linking: Blender → glTF and GLB → the binary; Blender → USD → pxr."""
 
 from __future__ import annotations
 
@@ -121,8 +121,8 @@ def test_round_lights_keep_radius_emission_and_falloff(scene, exported):
 
 @pytest.mark.timeout(120)
 def test_lights_without_normalisation_emit_by_their_surface(scene, tmp_path):
-    """By our own way alone: the glTF exporter of Blender 5.0 fails on such points and spots (it calls `area` with another name),
-    and those before it ignore the setting."""
+    """By our own way alone: the glTF exporter of Blender 5.0 fails on such points and spots (it calls `area` with a
+    wrong name), and those before it ignore the setting."""
     add_light(scene, "Point", "POINT", energy=100.0, shadow_soft_size=0.25, normalize=False)
     add_light(scene, "Sun", "SUN", energy=4.0, angle=math.radians(20), normalize=False)
     path = tmp_path / "scene.glb"
