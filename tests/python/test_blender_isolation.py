@@ -154,9 +154,13 @@ def test_a_full_disk_under_the_binary_is_its_message(scene, preferences, tmp_pat
 
 @pytest.mark.timeout(60)
 @pytest.mark.parametrize("kilobytes", [1, 4])
-def test_a_full_disk_is_a_message(scene, monkeypatch, kilobytes):
+def test_a_full_disk_is_a_message(scene, preferences, tmp_path, kilobytes):
     """A limit on the size of files stands for a disk that is full: with 1 KiB the scene does not fit, with 4 the image."""
     import resource
+
+    # Python's children do not inherit that the limit's signal is ignored.
+    script = f"import signal\nsignal.signal(signal.SIGXFSZ, signal.SIG_IGN)\nos.execv({str(BINARY)!r}, sys.argv)"
+    preferences.binary = str(fake_binary(tmp_path / "penumbra", script))
 
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     handler = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
