@@ -89,20 +89,32 @@ def _cycles_scene(scene: bpy.types.Scene, size: tuple[int, int], samples: int) -
         bpy.data.worlds.remove(world)
 
 
-def _render_cycles(copy: bpy.types.Scene, view_layer: bpy.types.ViewLayer, path: Path) -> tuple[np.ndarray, np.ndarray, float]:
-    """What Cycles shows: colours (height, width, 3), where there is a surface, and the seconds that it took."""
+class _CyclesImage:
+    """What Cycles shows: colours and positions (height, width, 3), where there is a surface, and the seconds that it took."""
+
+    def __init__(self, channels: dict[str, np.ndarray], seconds: float) -> None:
+        by_pass = {tuple(name.split(".")[-2:]): values for name, values in channels.items()}
+        self.rgb = np.stack([by_pass["Combined", channel] for channel in "RGB"], axis=-1)
+        self.covered = by_pass["Combined", "A"] > 0.5
+        self.position = np.stack([by_pass["Position", axis] for axis in "XYZ"], axis=-1)
+        self.seconds = seconds
+
+
+def _render_cycles(copy: bpy.types.Scene, view_layer: bpy.types.ViewLayer, path: Path) -> _CyclesImage:
     settings = copy.render.image_settings
     if hasattr(settings, "media_type"):
-        settings.media_type = "IMAGE"
-    settings.file_format = "OPEN_EXR"
+        settings.media_type = "MULTI_LAYER_IMAGE"
+    settings.file_format = "OPEN_EXR_MULTILAYER"
     settings.color_mode, settings.color_depth, settings.exr_codec = "RGBA", "32", "ZIP"
+    if hasattr(settings, "use_exr_interleave"):
+        # One part, as before Blender 5.
+        settings.use_exr_interleave = True
     copy.render.filepath, copy.render.use_file_extension = str(path), False
     start = time.perf_counter()
     bpy.ops.render.render("EXEC_DEFAULT", write_still=True, scene=copy.name, layer=view_layer.name)
     seconds = time.perf_counter() - start
     channels, _ = exr.read(path)
-    by_suffix = {name.rsplit(".", 1)[-1]: values for name, values in channels.items()}
-    return np.stack([by_suffix[c] for c in "RGB"], axis=-1), by_suffix["A"] > 0.5, seconds
+    return _CyclesImage({name: values for name, values in channels.items() if name.startswith(view_layer.name)}, seconds)
 
 
 @contextmanager
@@ -123,14 +135,17 @@ def _without_shadow(light: Any) -> Any:
 
 
 class Truth:
-    """What Cycles says of one light: E/E₀ (0 where E₀ is), where it faces the light, where there is a surface."""
+    """What Cycles says of one light: E/E₀ (0 where E₀ is next to nothing), where it is more, where there is a surface."""
 
-    def __init__(self, lit: np.ndarray, unshadowed: np.ndarray, covered: np.ndarray, seconds: float) -> None:
-        e, e0 = lit.sum(axis=-1), unshadowed.sum(axis=-1)
-        self.facing = covered & (e0 > 0.0)
+    def __init__(self, lit: _CyclesImage, unshadowed: _CyclesImage) -> None:
+        e, e0 = lit.rgb.sum(axis=-1), unshadowed.rgb.sum(axis=-1)
+        # Where the light itself is less than a step of an 8-bit picture it grazes the surface, and Cycles' guard against
+        # self-shadowing decides, not the blockers.
+        self.facing = lit.covered & (e0 > e0.max() / 256.0)
         self.ratio = np.where(self.facing, e / np.where(e0 > 0.0, e0, 1.0), 0.0).astype(np.float32)
-        self.covered = covered
-        self.seconds = seconds
+        self.covered = lit.covered
+        self.position = lit.position
+        self.seconds = lit.seconds
 
 
 def cycles_truth(
@@ -142,14 +157,15 @@ def cycles_truth(
     truths = {}
     with _cycles_scene(scene, size, samples) as copy:
         layer = copy.view_layers[context.view_layer.name]
+        layer.use_pass_combined = layer.use_pass_position = True
         layer.material_override = next(m for m in bpy.data.materials if m.name.startswith("Penumbra White"))
         for name in light_names:
             light = scene.objects[name]
             with _only(light, [other for other in all_lights if other != light]):
-                lit, covered, seconds = _render_cycles(copy, layer, folder / "cycles.exr")
+                lit = _render_cycles(copy, layer, folder / "cycles.exr")
                 with _without_shadow(light.data):
-                    unshadowed, _, _ = _render_cycles(copy, layer, folder / "cycles-unshadowed.exr")
-            truths[name] = Truth(lit, unshadowed, covered, seconds)
+                    unshadowed = _render_cycles(copy, layer, folder / "cycles-unshadowed.exr")
+            truths[name] = Truth(lit, unshadowed)
     return truths
 
 
@@ -164,6 +180,9 @@ def _measure(work: job.Job, folder: Path, truths: dict[str, Truth]) -> dict[str,
         reference[f"{name}.visibility"] = truth.ratio
         reference[f"{name}.facing"] = truth.facing.astype(np.float32)
         reference["coverage.A"] = truth.covered.astype(np.float32)
+        # Both in Blender's axes: pixels that show other surfaces are left out.
+        for image, position in ((test, result.vector("position")), (reference, truth.position)):
+            image |= {f"position.{axis}": position[..., number] for number, axis in enumerate("XYZ")}
     paths = folder / "test.exr", folder / "reference.exr"
     exr.write(paths[0], test)
     exr.write(paths[1], reference)
@@ -242,7 +261,7 @@ class PENUMBRA_OT_compare(bpy.types.Operator):
         work = job.Job(
             binary=binary,
             scene=harvested.scene,
-            requests=[settings.request(size, quantity="irradiance", lights=tuple(names))],
+            requests=[settings.request(size, quantity="irradiance", lights=tuple(names), layers=("position",))],
             folder=bpy.app.tempdir or None,
             stall_seconds=preferences.stall_seconds(),
             after=after,

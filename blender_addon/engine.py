@@ -135,9 +135,11 @@ class PenumbraRenderEngine(bpy.types.RenderEngine):
         self.update_stats("Penumbra", "reading the scene")
         extracted = extract.extract(depsgraph, preview.scene_camera(depsgraph, size))
         layers = tuple(layer for _, switch, *_, layer in _PASSES if getattr(view_layer, switch))
-        requests = [settings.request(size, quantity="shaded", antialiasing=settings.antialiasing, layers=layers)]
+        # The binary tells coverage at pixel centres alone: colours mixed with nothing would have no alpha to match.
+        antialiasing = 1 if scene.render.film_transparent else settings.antialiasing
+        requests = [settings.request(size, quantity="shaded", antialiasing=antialiasing, layers=layers)]
         if layer_settings.use_pass_irradiance:
-            requests.append(settings.request(size, quantity="irradiance", antialiasing=settings.antialiasing))
+            requests.append(settings.request(size, quantity="irradiance", antialiasing=antialiasing))
         work = job.Job(
             binary=preferences.find_binary(),
             scene=extracted,

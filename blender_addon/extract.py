@@ -15,6 +15,8 @@ from . import glb, lights
 _MESH_LIKE = {"MESH", "CURVE", "SURFACE", "FONT", "META"}
 # What has no surface of its own.
 _WITHOUT_SURFACE = {"ARMATURE", "CAMERA", "EMPTY", "LATTICE", "LIGHT", "LIGHT_PROBE", "LIGHTPROBE", "SPEAKER"}
+# The binary shortens a light's name that is longer than 232 bytes; `#2` and so on are to fit too.
+_MAX_LIGHT_NAME_BYTES = 200
 _DEFAULT_COLOR = (0.8, 0.8, 0.8)
 
 
@@ -258,6 +260,7 @@ class _Extraction:
 
     def unique_light_name(self, name: str) -> str:
         """A light that instances repeat is a light of its own: `#2` and so on, as the binary names them."""
+        name = name.encode()[:_MAX_LIGHT_NAME_BYTES].decode(errors="ignore")
         taken = {light.name for light in self.scene.lights}
         candidates = (f"{name}#{number}" for number in range(2, len(taken) + 3))
         return name if name not in taken else next(candidate for candidate in candidates if candidate not in taken)

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Previews beside any render engine: extracted on the main thread, rendered by the binary in the background, shown as images.
 
-The evaluation is that of a final render (render visibility, render subdivision): a temporary copy of the scene is handed to
-this add-on's engine, which only reads it. Blender has no other way to a dependency graph of renders.
+The evaluation is that of a final render (render visibility and subdivision). Where the viewport's is the same, it is read as
+it is; else a temporary copy of the scene is handed to this add-on's engine, which only reads it: Blender has no other way to a
+dependency graph of renders.
 """
 
 from __future__ import annotations
@@ -58,6 +59,9 @@ def harvest(
 ) -> Harvest:
     """Reads `scene` as a final render evaluates it. The scene itself, its settings and its last render stay as they are."""
     result = Harvest(camera, size)
+    if is_viewport_as_rendered(scene, view_layer):
+        result.take(bpy.context.evaluated_depsgraph_get())
+        return result
     temporary = scene.copy()
     try:
         temporary.name = "Penumbra Preview"
@@ -77,6 +81,43 @@ def harvest(
     if result.scene is None and not result.error:
         result.error = "the scene could not be read"
     return result
+
+
+def is_viewport_as_rendered(scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer) -> bool:
+    """Whether the viewport surely evaluates what a final render does; no wherever that takes more than a look."""
+    context = bpy.context
+    if context.scene != scene or context.view_layer != view_layer or context.mode != "OBJECT" or scene.render.use_simplify:
+        return False
+    return all(map(_is_collection_as_rendered, _used_layers(view_layer.layer_collection))) and all(
+        _is_object_as_rendered(item, view_layer) for item in scene.objects
+    )
+
+
+def _used_layers(layer: bpy.types.LayerCollection) -> list[bpy.types.LayerCollection]:
+    """A layer collection and all below it that are not excluded."""
+    return [layer, *(below for child in layer.children if not child.exclude for below in _used_layers(child))]
+
+
+def _is_collection_as_rendered(layer: bpy.types.LayerCollection) -> bool:
+    return not layer.hide_viewport and layer.collection.hide_viewport == layer.collection.hide_render
+
+
+def _is_object_as_rendered(item: bpy.types.Object, view_layer: bpy.types.ViewLayer) -> bool:
+    if item.name not in view_layer.objects:
+        return True
+    if item.type not in {"MESH", "LIGHT", "CAMERA", "EMPTY", "ARMATURE"} or len(item.particle_systems) > 0:
+        return False
+    if item.hide_viewport != item.hide_render or item.hide_get(view_layer=view_layer) or item.instance_collection is not None:
+        return False
+    if item.show_instancer_for_viewport != item.show_instancer_for_render:
+        return False
+    # Geometry nodes may ask whether they are seen in a viewport.
+    return all(
+        modifier.show_viewport == modifier.show_render
+        and modifier.type != "NODES"
+        and getattr(modifier, "levels", 0) == getattr(modifier, "render_levels", 0)
+        for modifier in item.modifiers
+    )
 
 
 class Preview:

@@ -209,7 +209,7 @@ class PenumbraSettings(bpy.types.PropertyGroup):
     )
     antialiasing: bpy.props.IntProperty(
         name="Antialiasing",
-        description="N x N receivers a pixel in final renders; visibility is always that of pixel centres",
+        description="N x N receivers a pixel in final renders with an opaque film; visibility is always that of pixel centres",
         default=2,
         min=1,
         max=16,
