@@ -134,14 +134,18 @@ def _without_shadow(light: Any) -> Any:
     return _set(light, use_shadow=False)
 
 
+def _is_more_than_grazing(unshadowed: np.ndarray) -> np.ndarray:
+    """Where unblocked light is at least a step of an 8-bit picture. Where it is less it grazes the surface, and Cycles' guard
+    against self-shadowing decides, not the blockers."""
+    return unshadowed > unshadowed.max() / 256.0
+
+
 class Truth:
     """What Cycles says of one light: E/E₀ (0 where E₀ is next to nothing), where it is more, where there is a surface."""
 
     def __init__(self, lit: _CyclesImage, unshadowed: _CyclesImage) -> None:
         e, e0 = lit.rgb.sum(axis=-1), unshadowed.rgb.sum(axis=-1)
-        # Where the light itself is less than a step of an 8-bit picture it grazes the surface, and Cycles' guard against
-        # self-shadowing decides, not the blockers.
-        self.facing = lit.covered & (e0 > e0.max() / 256.0)
+        self.facing = lit.covered & _is_more_than_grazing(e0)
         self.ratio = np.where(self.facing, e / np.where(e0 > 0.0, e0, 1.0), 0.0).astype(np.float32)
         self.covered = lit.covered
         self.position = lit.position
@@ -176,9 +180,14 @@ def _measure(work: job.Job, folder: Path, truths: dict[str, Truth]) -> dict[str,
     reference: dict[str, np.ndarray] = {}
     for name, truth in truths.items():
         # `compare` measures layers of this name; here they hold E/E₀ on both sides.
-        test[f"{name}.visibility"] = result.channels[f"{name}.irradiance_ratio"]
+        ratio = test[f"{name}.visibility"] = result.channels[f"{name}.irradiance_ratio"]
         reference[f"{name}.visibility"] = truth.ratio
-        reference[f"{name}.facing"] = truth.facing.astype(np.float32)
+        # E₀ by E and E/E₀, where something of the light is seen: next to nothing of it is sampled noisily in Cycles.
+        irradiance = result.rgb(f"{name}.irradiance").sum(axis=-1)
+        seen = ratio > 0.0
+        unshadowed = np.where(seen, irradiance / np.where(seen, ratio, 1.0), 0.0)
+        facing = truth.facing & (_is_more_than_grazing(unshadowed) | ~seen)
+        reference[f"{name}.facing"] = facing.astype(np.float32)
         reference["coverage.A"] = truth.covered.astype(np.float32)
         # Both in Blender's axes: pixels that show other surfaces are left out.
         for image, position in ((test, result.vector("position")), (reference, truth.position)):
