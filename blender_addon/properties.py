@@ -205,7 +205,7 @@ class PenumbraSettings(bpy.types.PropertyGroup):
         max=1 << 20,
     )
     show_in_view: bpy.props.BoolProperty(
-        name="Show in 3D views", description="Draw the preview in the corner of 3D views", default=True
+        name="In 3D views", description="Draw the preview in the corner of 3D views", default=True
     )
     antialiasing: bpy.props.IntProperty(
         name="Antialiasing",
@@ -215,10 +215,10 @@ class PenumbraSettings(bpy.types.PropertyGroup):
         max=16,
     )
     viewport_scale: bpy.props.IntProperty(
-        name="Viewport resolution", description="Of a rendered 3D view", default=50, min=10, max=100, subtype="PERCENTAGE"
+        name="Viewport", description="Of a rendered 3D view", default=50, min=10, max=100, subtype="PERCENTAGE"
     )
     cycles_samples: bpy.props.IntProperty(
-        name="Cycles samples", description="Samples a pixel of the image that Cycles renders", default=64, min=1, max=65536
+        name="Samples", description="Samples a pixel of the image that Cycles renders", default=64, min=1, max=65536
     )
 
     def settings(self) -> tuple[tuple[str, str], ...]:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import os
+import struct
 import sys
 import time
 import traceback
+import zlib
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -74,7 +76,27 @@ def shot(name: str) -> None:
     path = str(Path(OUTPUT).resolve() / f"blender-{name}.png")
     with bpy.context.temp_override(window=window, area=window.screen.areas[0]):
         bpy.ops.screen.screenshot(filepath=path)
+    compress(Path(path))
     print("window: shot", path, flush=True)
+
+
+def compress(path: Path) -> None:
+    """Deflates a PNG's pixels anew, as small as zlib can: Blender writes screenshots fast."""
+    data, at, chunks, pixels = path.read_bytes(), 8, [], b""
+    while at < len(data):
+        length, kind = struct.unpack_from(">I4s", data, at)
+        body = data[at + 8 : at + 8 + length]
+        at += 12 + length
+        if kind == b"IDAT":
+            pixels += body
+        elif kind == b"IEND":
+            chunks += [(b"IDAT", zlib.compress(zlib.decompress(pixels), 9)), (kind, body)]
+        elif kind == b"IHDR":
+            chunks.append((kind, body))
+    with open(path, "wb") as file:
+        file.write(data[:8])
+        for kind, body in chunks:
+            file.write(struct.pack(">I4s", len(body), kind) + body + struct.pack(">I", zlib.crc32(kind + body)))
 
 
 def call(operator, kind: str, **values) -> None:
@@ -117,15 +139,6 @@ def steps() -> Iterator[float]:
     yield 1.0
     shot("panel")
 
-    call(bpy.ops.penumbra.preview, "VIEW_3D")
-    first = preview.Preview.current
-    yield from until(lambda: not first.is_running)
-    assert first.message == "", first.message
-    yield 1.0
-    shot("preview")
-    for line in first.caption:
-        print("window: preview:", line, flush=True)
-
     # Cancelled in the window: gone within a second.
     scene.penumbra.overrides[0].as_int = 1000000
     call(bpy.ops.penumbra.preview, "VIEW_3D")
@@ -139,10 +152,25 @@ def steps() -> Iterator[float]:
     assert running.message == "cancelled", running.message
     scene.penumbra.overrides[0].as_int = 16
 
+    call(bpy.ops.penumbra.preview, "VIEW_3D")
+    first = preview.Preview.current
+    yield from until(lambda: not first.is_running)
+    assert first.message == "", first.message
+    yield 1.0
+    shot("preview")
+    for line in first.caption:
+        print("window: preview:", line, flush=True)
+
     scene.penumbra.cycles_samples = 16
     call(bpy.ops.penumbra.compare, "VIEW_3D")
     for line in compare.last_lines:
         print("window: compare:", line, flush=True)
+    # The technique's panel is closed by its header, and the one below it opened.
+    click(931, 289)
+    yield 0.5
+    click(931, 263)
+    yield 1.0
+    shot("compare-panel")
     editor = areas("DOPESHEET_EDITOR")[0] if areas("DOPESHEET_EDITOR") else areas("OUTLINER")[0]
     editor.type = "IMAGE_EDITOR"
     view.type = "IMAGE_EDITOR"
@@ -191,6 +219,18 @@ def steps() -> Iterator[float]:
             bpy.data.objects["Key"].location.x -= 1.0
         yield from until(lambda count=count: len(finished) > count)
     print("window: rendered views:", len(finished), flush=True)
+
+    # A preview of what the view itself shows, beside another engine.
+    scene.render.engine = "CYCLES"
+    view.spaces.active.shading.type = "SOLID"
+    scene.penumbra.view, scene.penumbra.quantity, scene.penumbra.show_in_view = "VIEW", "shaded", True
+    yield 1.0
+    call(bpy.ops.penumbra.preview, "VIEW_3D")
+    last = preview.Preview.current
+    yield from until(lambda: not last.is_running)
+    assert last.message == "", last.message
+    yield 1.0
+    shot("preview-view")
 
 
 def main() -> None:
