@@ -14,9 +14,11 @@ bl_info = {
     "category": "Render",
 }
 
+import atexit
+
 import bpy
 
-from . import compare, engine, export, overlay, panels, preferences, preview, properties
+from . import compare, engine, export, job, overlay, panels, preferences, preview, properties
 from .export import glTF2ExportUserExtension as glTF2ExportUserExtension
 
 _CLASSES = (
@@ -37,10 +39,13 @@ def register() -> None:
         bpy.utils.register_class(cls)
     for module in _MODULES:
         module.register()
+    atexit.register(job.stop_all)
 
 
 def unregister() -> None:
     """Called by Blender when the add-on is turned off."""
+    atexit.unregister(job.stop_all)
+    job.stop_all()
     for module in reversed(_MODULES):
         module.unregister()
     for cls in reversed(_CLASSES):

@@ -98,7 +98,7 @@ class PenumbraRenderEngine(bpy.types.RenderEngine):
     def render(self, depsgraph: bpy.types.Depsgraph) -> None:
         """A view layer of a frame. It never raises: an exception here takes Blender down with it."""
         if preview.Harvest.current is not None:
-            self._harvest(depsgraph)
+            preview.Harvest.current.take(depsgraph)
             return
         try:
             self._render(depsgraph)
@@ -111,13 +111,6 @@ class PenumbraRenderEngine(bpy.types.RenderEngine):
     def is_stopped(self) -> bool:
         """Whether the user has pressed Esc."""
         return self.test_break()
-
-    def _harvest(self, depsgraph: bpy.types.Depsgraph) -> None:
-        try:
-            preview.Harvest.current.take(depsgraph)
-        except Exception as error:
-            traceback.print_exc()
-            preview.Harvest.current.error = f"the scene could not be read: {type(error).__name__}: {error}"
 
     def _fail(self, depsgraph: bpy.types.Depsgraph, message: str) -> None:
         """One clear message, and a result that is empty but ended."""

@@ -175,7 +175,10 @@ class PENUMBRA_OT_export_usd(_Export, bpy.types.Operator):
 
     def check(self, context: bpy.types.Context) -> bool:
         """Keeps .usda and .usd where they are chosen."""
-        return False
+        if Path(self.filepath).suffix in {".usda", ".usdc", ".usd"}:
+            return False
+        self.filepath += self.filename_ext
+        return True
 
     def write(self, context: bpy.types.Context, path: Path) -> list[str]:
         """Writes it to `path` and returns warnings."""
@@ -184,13 +187,20 @@ class PENUMBRA_OT_export_usd(_Export, bpy.types.Operator):
         usd_lights.expect_pxr()
         scene = context.scene
         _check_lights(scene)
+        shown = _surfaces(scene)
+        blocks = {}
+        for item in scene.objects:
+            if item.type == "LIGHT" and not item.hide_render:
+                blocks[item.name] = (item.data, light_block(item, item.matrix_world, shown))
+        is_linked = any({"light_exclude", "shadow_exclude"} & block.keys() for _, block in blocks.values())
         options = {
             "evaluation_mode": "RENDER",
             # The default writes the cage, whose shadow is another.
             "export_subdivision": "TESSELLATE",
             "export_lights": True,
             "export_animation": self.animation,
-            "use_instancing": True,
+            # What is linked has to be a prim of its own.
+            "use_instancing": not is_linked,
             "convert_world_material": False,
             "export_custom_properties": True,
             "author_blender_name": True,
@@ -198,11 +208,6 @@ class PENUMBRA_OT_export_usd(_Export, bpy.types.Operator):
         }
         exporter = bpy.ops.wm.usd_export
         exporter(filepath=str(path), check_existing=False, **_supported(exporter, options))
-        shown = _surfaces(scene)
-        blocks = {}
-        for item in scene.objects:
-            if item.type == "LIGHT":
-                blocks[item.name] = (item.data, light_block(item, item.matrix_world, shown))
         return usd_lights.correct(path, blocks)
 
 

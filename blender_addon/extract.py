@@ -285,5 +285,6 @@ def extract(depsgraph: bpy.types.Depsgraph, camera: glb.Camera) -> glb.Scene:
 
 def render_size(render: bpy.types.RenderSettings) -> tuple[int, int]:
     """Width and height of the full frame, pixels."""
-    scale = render.resolution_percentage / 100.0
-    return max(1, int(render.resolution_x * scale)), max(1, int(render.resolution_y * scale))
+    # In whole numbers, as Blender rounds it.
+    width, height = (n * render.resolution_percentage // 100 for n in (render.resolution_x, render.resolution_y))
+    return max(1, width), max(1, height)

@@ -90,6 +90,20 @@ class Result:
         return np.stack([x, -z, y], axis=-1)
 
 
+# Jobs at work, and how long they are given to stop their binary when the add-on goes, s.
+_running: set[Job] = set()
+_STOP_SECONDS = 1.0
+
+
+def stop_all() -> None:
+    """Stops every job: no binary outlives Blender, or the add-on."""
+    jobs = list(_running)
+    for job in jobs:
+        job.cancel()
+    for job in jobs:
+        job.join(_STOP_SECONDS)
+
+
 class Job(threading.Thread):
     """Renders `scene` once for each of `requests`. It never raises: `error` says what went wrong, in one line."""
 
@@ -136,6 +150,7 @@ class Job(threading.Thread):
         """The thread."""
         start = time.perf_counter()
         folder = None
+        _running.add(self)
         try:
             folder = Path(tempfile.mkdtemp(prefix="penumbra-", dir=self._folder))
             self._render(folder)
@@ -159,6 +174,7 @@ class Job(threading.Thread):
                 # Nothing partial is left to be shown.
                 self.results = []
             self.elapsed_seconds = time.perf_counter() - start
+            _running.discard(self)
 
     def execute(self, arguments: list[str | os.PathLike], on_progress: Callable[[float, str], None] | None = None) -> str:
         """Runs the binary with `arguments` within this job and returns its stdout."""

@@ -41,6 +41,9 @@ class Harvest:
             self.scene = extract.extract(depsgraph, camera)
         except extract.ExtractError as error:
             self.error = str(error)
+        except Exception as error:
+            traceback.print_exc()
+            self.error = f"the scene could not be read: {type(error).__name__}: {error}"
         self.extract_seconds = time.perf_counter() - start
 
 
@@ -50,6 +53,8 @@ def scene_camera(depsgraph: bpy.types.Depsgraph, size: tuple[int, int]) -> glb.C
     if scene.camera is None:
         raise extract.ExtractError("the scene has no camera: add one, or set the active one")
     render = scene.render
+    if render.use_multiview:
+        raise extract.ExtractError("stereoscopy is not supported: turn it off in the output properties")
     pixel_aspect = render.pixel_aspect_x / render.pixel_aspect_y
     return extract.camera_of(scene.camera.evaluated_get(depsgraph), size=size, pixel_aspect=pixel_aspect)
 

@@ -167,7 +167,7 @@ def steps() -> Iterator[float]:
         print("window: compare:", line, flush=True)
     # The technique's panel is closed by its header, and the one below it opened.
     click(931, 289)
-    yield 0.5
+    yield 2.0
     click(931, 263)
     yield 1.0
     shot("compare-panel")

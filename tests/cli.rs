@@ -51,6 +51,31 @@ fn render_square(directory: &Path, output: &str, more: &[&str]) -> String {
 }
 
 #[test]
+fn progress_is_told_as_lines_where_they_are_asked_for() {
+    let directory = tempfile::tempdir().expect("a directory");
+    let arguments =
+        ["render", "procedural:square", "--size", "200x150", "--set", "samples=1024", "-o", "out.exr", "--json"];
+    let run = penumbra(&[arguments.as_slice(), &["--progress"]].concat(), directory.path());
+    assert!(run.status.success());
+    serde_json::from_slice::<Value>(&run.stdout).expect("stdout holds the record alone");
+    let errors = String::from_utf8(run.stderr).expect("UTF-8");
+    let percents: Vec<u32> = errors
+        .lines()
+        .map(|line| match line.split(' ').collect::<Vec<_>>()[..] {
+            ["progress:", percent, "rays"] => percent.parse().expect("a number"),
+            _ => panic!("{line}"),
+        })
+        .collect();
+    assert!(
+        percents.len() > 2 && percents.is_sorted() && percents.iter().all(|&percent| percent <= 100),
+        "{percents:?}"
+    );
+
+    let run = penumbra(&arguments, directory.path());
+    assert!(run.status.success() && run.stderr.is_empty());
+}
+
+#[test]
 fn a_rendering_is_compared_with_its_reference() {
     let directory = tempfile::tempdir().expect("a directory");
     let at = directory.path();

@@ -17,18 +17,15 @@ from conftest import BINARY, MODULE, fake_binary, override, read_exr, use_multil
 MANY_SAMPLES = "1000000"
 
 
-def test_module(name: str):
+def module(name: str):
     """A module of the add-on."""
     return sys.modules[f"{MODULE}.{name}"]
 
 
-test_module.__test__ = False
-
-
 def start(scene):
     """A running preview, whose binary is at work."""
-    preview = test_module("preview").start(bpy.context)
-    test_module("preview").Preview.current = preview
+    preview = module("preview").start(bpy.context)
+    module("preview").Preview.current = preview
     return preview
 
 
@@ -181,7 +178,7 @@ def test_a_full_disk_is_a_message(scene, preferences, tmp_path, kilobytes):
 def test_no_space_left_is_said_in_plain_words(addon):
     import errno
 
-    process = test_module("process")
+    process = module("process")
     error = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), "/somewhere/scene.glb")
     assert process.describe_os_error(error, "rendering") == "rendering failed: the disk is full (/somewhere/scene.glb)"
 
@@ -207,11 +204,30 @@ def test_nothing_is_left_in_the_temporary_folder(scene):
     override(scene.penumbra, "samples", MANY_SAMPLES)
     preview = start(scene)
     process_of(preview)
-    test_module("preview").cancel_running()
+    module("preview").cancel_running()
     finish(preview)
     scene.penumbra.overrides.clear()
     assert finish(start(scene)) == ""
     assert not [name for name in os.listdir(bpy.app.tempdir) if name.startswith("penumbra-")]
+
+
+@pytest.mark.timeout(60)
+def test_no_binary_outlives_blender(extension_zip, tmp_path):
+    pid_path = tmp_path / "pid"
+    script = f"open({str(pid_path)!r}, 'w').write(str(os.getpid()))\ntime.sleep(600)"
+    binary = fake_binary(tmp_path / "penumbra", script)
+    code = (
+        "import sys, time, pathlib, bpy\n"
+        "bpy.ops.extensions.package_install_files(filepath=sys.argv[1], repo='user_default', enable_on_install=True)\n"
+        f"bpy.context.preferences.addons['{MODULE}'].preferences.binary = sys.argv[2]\n"
+        f"sys.modules['{MODULE}.preview'].start(bpy.context)\n"
+        "while not pathlib.Path(sys.argv[3]).exists(): time.sleep(0.05)\n"
+    )
+    environment = {**os.environ, "BLENDER_USER_RESOURCES": str(tmp_path / "user")}
+    # Factory settings have a cube, a light and a camera.
+    subprocess.run([sys.executable, "-c", code, extension_zip, binary, pid_path], env=environment, check=True, timeout=50)
+    with pytest.raises(ProcessLookupError):
+        os.kill(int(pid_path.read_text()), 0)
 
 
 def f12(scene, path):
@@ -244,7 +260,7 @@ def test_a_final_render_never_raises(scene, monkeypatch, tmp_path):
     def fail(*_):
         raise ZeroDivisionError("a bug")
 
-    monkeypatch.setattr(test_module("extract"), "extract", fail)
+    monkeypatch.setattr(module("extract"), "extract", fail)
     assert "ZeroDivisionError: a bug" in f12(scene, tmp_path / "f12.exr")
     with pytest.raises(RuntimeError, match="ZeroDivisionError: a bug"):
         bpy.ops.penumbra.preview()
@@ -255,7 +271,7 @@ def test_a_final_render_never_raises(scene, monkeypatch, tmp_path):
 @pytest.mark.timeout(60)
 def test_a_cancelled_final_render_ends_within_a_second(scene, monkeypatch, tmp_path):
     override(scene.penumbra, "samples", MANY_SAMPLES)
-    engine = test_module("engine").PenumbraRenderEngine
+    engine = module("engine").PenumbraRenderEngine
     asked = threading.Event()
     monkeypatch.setattr(engine, "is_stopped", lambda self: asked.is_set())
     asked_at = []

@@ -116,6 +116,16 @@ def test_settings_come_from_the_binary_alone(scene):
 
 
 @pytest.mark.timeout(120)
+def test_a_technique_that_needs_a_gpu_tells_which_it_ran_on(scene):
+    """A software one included: scripts/test installs it."""
+    scene.penumbra.technique = "pcss"
+    assert bpy.ops.penumbra.preview() == {"FINISHED"}
+    preview = sys.modules[f"{MODULE}.preview"].Preview.current
+    assert preview.caption[0].startswith("pcss, 64 x 48") and not preview.caption[0].endswith("CPU")
+    assert 0.0 < pixels("Penumbra Key").mean() < 1.0
+
+
+@pytest.mark.timeout(120)
 def test_what_the_binary_refuses_is_shown_in_its_words(scene):
     override(scene.penumbra, "no_such", "1")
     with pytest.raises(RuntimeError, match="no_such"):
