@@ -14,7 +14,7 @@
 //! the centre is just hidden is not half hidden too much. A shadow map would not agree with the edges to a texel.
 //!
 //! Tiles of 16 × 16 pixels list the edges of which their receivers may see something before the light (in the paper: whose wedges
-//! they are in), and the sheets that may hide its centre, in the order of the meshes: the same sums on every run.
+//! they are in), and the sheets that may hide its centre, in an order of their own: the same sums on every run.
 //!
 //! # Its faults
 //! - What two casters hide counts twice (the paper; V ends at 0). `points` on the light tell how often each of them is hidden, and what
@@ -313,8 +313,8 @@ impl Casters {
         let outline = if view.emitter.domain == Domain::Point { Vec::new() } else { outline };
         let casters = Self {
             emitter,
-            sheets: Items::new(gpu, &positions, &sheets.collect::<Vec<_>>())?,
-            outline: Items::new(gpu, &positions, &outline)?,
+            sheets: Items::new(gpu, &positions, sheets.collect())?,
+            outline: Items::new(gpu, &positions, outline)?,
             positions: vertices,
         };
         note(passes, "surfaces", start);
@@ -323,7 +323,9 @@ impl Casters {
 }
 
 impl Items {
-    fn new(gpu: &Gpu, positions: &[Vec4], items: &[[u32; 4]]) -> Result<Self> {
+    fn new(gpu: &Gpu, positions: &[Vec4], mut items: Vec<[u32; 4]>) -> Result<Self> {
+        // Neighbours in space are neighbours in chunks.
+        items.par_sort_by_cached_key(|item| morton(positions[item[0] as usize].truncate()));
         let around = |chunk: &[[u32; 4]]| {
             let corners = chunk.iter().flat_map(|[a, b, c, _]| [a, b, c]).map(|&corner| positions[corner as usize]);
             let empty = (Vec4::INFINITY, Vec4::NEG_INFINITY);
@@ -334,10 +336,19 @@ impl Items {
         let storage = wgpu::BufferUsages::STORAGE;
         Ok(Self {
             count: items.len(),
-            items: gpu.buffer("the casters' outline", items, storage)?,
+            items: gpu.buffer("the casters' outline", &items, storage)?,
             bounds: gpu.buffer("bounds of the casters' outline", &bounds, storage)?,
         })
     }
+}
+
+/// The place of a position, within 1 of the origin along each axis, on a curve that keeps neighbours together (Morton 1966).
+fn morton(position: Vec3) -> u32 {
+    let spread = |x: f32| {
+        let cell = (512.0 * (x + 1.0)).clamp(0.0, 1023.0) as u32;
+        (0..10).fold(0, |bits, at| bits | (cell >> at & 1) << (3 * at))
+    };
+    spread(position.x) | spread(position.y) << 1 | spread(position.z) << 2
 }
 
 /// Adds the time since `start` to a pass's.
