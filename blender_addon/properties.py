@@ -9,8 +9,9 @@ import bpy
 
 from . import job, preferences, process, schema
 
-# Blender keeps no reference to the strings of dynamic enumerations.
-_kept_items: dict[str, list[tuple[str, str, str, int]]] = {}
+# Blender keeps no reference to the strings of dynamic enumerations, and goes on using those of earlier calls: every string that
+# it was ever given stays.
+_kept: dict[str, str] = {}
 
 
 def known_techniques() -> tuple[schema.Technique, ...]:
@@ -21,13 +22,13 @@ def known_techniques() -> tuple[schema.Technique, ...]:
         return ()
 
 
-def _items(key: str, entries: list[tuple[str, str]], chosen: str) -> list[tuple[str, str, str, int]]:
+def _items(entries: list[tuple[str, str]], chosen: str) -> list[tuple[str, str, str, int]]:
     """Items of an enumeration by name and help. A chosen value that is not offered stays, and says so."""
     names = [name for name, _ in entries]
     if chosen not in names:
         entries = [*entries, (chosen, "The binary does not offer this")]
-    _kept_items[key] = [(name, name or "-", text, number) for number, (name, text) in enumerate(entries)]
-    return _kept_items[key]
+    kept = ((_kept.setdefault(name, name), _kept.setdefault(text, text)) for name, text in entries)
+    return [(name, name, text, number) for number, (name, text) in enumerate(kept)]
 
 
 def _number_of(items: list[tuple[str, str, str, int]], name: str) -> int:
@@ -79,7 +80,7 @@ class ParameterOverride(bpy.types.PropertyGroup):
 
     def _choice_items(self, context: bpy.types.Context | None) -> list[tuple[str, str, str, int]]:
         parameter = self.parameter()
-        return _items(f"{self.technique}.{self.name}", list(parameter.choices) if parameter else [], self.value)
+        return _items(list(parameter.choices) if parameter else [], self.value)
 
     def _choice(self) -> int:
         return _number_of(self._choice_items(None), self.value)
@@ -116,7 +117,7 @@ class PenumbraSettings(bpy.types.PropertyGroup):
 
     def _technique_items(self, context: bpy.types.Context | None) -> list[tuple[str, str, str, int]]:
         entries = [(t.name, f"{t.summary}. {t.paper}. Needs: {t.needs}") for t in known_techniques()]
-        return _items("technique", entries, self.technique_name)
+        return _items(entries, self.technique_name)
 
     def _technique(self) -> int:
         return _number_of(self._technique_items(None), self.technique_name)
@@ -127,11 +128,8 @@ class PenumbraSettings(bpy.types.PropertyGroup):
 
     def _preset_items(self, context: bpy.types.Context | None) -> list[tuple[str, str, str, int]]:
         technique = self.chosen_technique()
-        entries = [("", "The best settings known"), *(technique.presets if technique else ())]
-        items = _items("preset", entries, self.preset_name)
-        # An empty identifier is a separator in Blender.
-        _kept_items["preset"] = [(name or "best", name or "best", text, number) for name, _, text, number in items]
-        return _kept_items["preset"]
+        entries = [("best", "The best settings known"), *(technique.presets if technique else ())]
+        return _items(entries, self.preset_name or "best")
 
     def _preset(self) -> int:
         return _number_of(self._preset_items(None), self.preset_name or "best")
@@ -144,7 +142,7 @@ class PenumbraSettings(bpy.types.PropertyGroup):
         scene = self.id_data
         names = sorted(item.name for item in scene.objects if item.type == "LIGHT")
         entries = [("ALL LIGHTS", "Every light of the scene"), *((name, f"Only {name}") for name in names)]
-        return _items("light", entries, self.light_name or "ALL LIGHTS")
+        return _items(entries, self.light_name or "ALL LIGHTS")
 
     def _light(self) -> int:
         return _number_of(self._light_items(None), self.light_name or "ALL LIGHTS")
@@ -261,4 +259,3 @@ def unregister() -> None:
     """Takes them away."""
     del bpy.types.ViewLayer.penumbra
     del bpy.types.Scene.penumbra
-    _kept_items.clear()

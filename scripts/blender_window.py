@@ -34,7 +34,8 @@ def build() -> None:
     bpy.ops.mesh.primitive_monkey_add(size=2, location=(0, 0, 1.1), rotation=(0, 0, 0.6))
     monkey = bpy.context.object
     subdivision = monkey.modifiers.new("Subdivision", "SUBSURF")
-    subdivision.levels = subdivision.render_levels = 2
+    # What is rendered is not what the viewport shows: previews have to evaluate it anew.
+    subdivision.levels, subdivision.render_levels = 1, 2
     for polygon in monkey.data.polygons:
         polygon.use_smooth = True
     for name, color in (("Clay", (0.8, 0.55, 0.4, 1.0)), ("Floor", (0.6, 0.6, 0.6, 1.0))):
@@ -108,12 +109,12 @@ def call(operator, kind: str, **values) -> None:
         assert operator("INVOKE_DEFAULT", **values) in ({"FINISHED"}, {"RUNNING_MODAL"}), operator
 
 
-def click(x: int, y: int) -> None:
-    """A click of the left mouse button, pixels from the window's bottom left."""
+def click(x: int, y: int) -> Iterator[float]:
+    """A click of the left mouse button, pixels from the window's bottom left, as slow as people are."""
     window = bpy.context.window_manager.windows[0]
-    window.event_simulate("MOUSEMOVE", "NOTHING", x=x, y=y)
-    window.event_simulate("LEFTMOUSE", "PRESS", x=x, y=y)
-    window.event_simulate("LEFTMOUSE", "RELEASE", x=x, y=y)
+    for kind, value in (("MOUSEMOVE", "NOTHING"), ("LEFTMOUSE", "PRESS"), ("LEFTMOUSE", "RELEASE")):
+        window.event_simulate(kind, value, x=x, y=y)
+        yield 0.5
 
 
 def until(condition) -> Iterator[float]:
@@ -135,7 +136,7 @@ def steps() -> Iterator[float]:
     view.spaces.active.region_3d.view_perspective = "CAMERA"
     yield 1.0
     # The sidebar's tab: Blender 3.4 has no way to choose it but a click. The last of four, in a window of 1280 x 800.
-    click(1044, 540)
+    yield from click(1044, 540)
     yield 1.0
     shot("panel")
 
@@ -166,9 +167,9 @@ def steps() -> Iterator[float]:
     for line in compare.last_lines:
         print("window: compare:", line, flush=True)
     # The technique's panel is closed by its header, and the one below it opened.
-    click(931, 289)
-    yield 2.0
-    click(931, 263)
+    yield from click(931, 289)
+    yield 1.0
+    yield from click(931, 263)
     yield 1.0
     shot("compare-panel")
     editor = areas("DOPESHEET_EDITOR")[0] if areas("DOPESHEET_EDITOR") else areas("OUTLINER")[0]
@@ -199,6 +200,18 @@ def steps() -> Iterator[float]:
         bpy.ops.image.view_all(fit_view=True)
     yield 1.0
     shot("f12")
+
+    # A preview leaves the last render as it is.
+    result = bpy.data.images["Render Result"]
+    paths = [Path(bpy.app.tempdir) / f"result-{number}.png" for number in range(2)]
+    result.save_render(str(paths[0]))
+    call(bpy.ops.penumbra.preview, "IMAGE_EDITOR")
+    again = preview.Preview.current
+    yield from until(lambda: not again.is_running)
+    assert again.message == "", again.message
+    yield 1.0
+    result.save_render(str(paths[1]))
+    assert paths[0].read_bytes() == paths[1].read_bytes(), "the preview changed the last render"
 
     view.type = "VIEW_3D"
     scene.penumbra.show_in_view = False
