@@ -226,6 +226,55 @@ def test_many_instances_are_one_node_in_the_same_places(scene, tmp_path):
 
 
 @pytest.mark.timeout(120)
+def test_geometry_nodes_and_particles_make_instances(scene, tmp_path):
+    bpy.ops.mesh.primitive_grid_add(x_subdivisions=4, y_subdivisions=4, size=4, location=(0, 0, 0.3))
+    grid = bpy.context.object
+    points = len(grid.data.vertices)
+    tree = bpy.data.node_groups.new("Cubes on points", "GeometryNodeTree")
+    tree.interface.new_socket(name="Geometry", in_out="INPUT", socket_type="NodeSocketGeometry")
+    tree.interface.new_socket(name="Geometry", in_out="OUTPUT", socket_type="NodeSocketGeometry")
+    start, end = tree.nodes.new("NodeGroupInput"), tree.nodes.new("NodeGroupOutput")
+    spread, cube = tree.nodes.new("GeometryNodeInstanceOnPoints"), tree.nodes.new("GeometryNodeMeshCube")
+    tree.links.new(start.outputs[0], spread.inputs["Points"])
+    tree.links.new(cube.outputs["Mesh"], spread.inputs["Instance"])
+    tree.links.new(spread.outputs["Instances"], end.inputs[0])
+    before = shown(scene, tmp_path)
+    grid.modifiers.new("Nodes", "NODES").node_group = tree
+    info = shown(scene, tmp_path)
+    # The grid itself gives way to the cubes, which are one mesh.
+    assert info["instances"] == before["instances"] - 1 + points
+    assert info["unique_triangles"] == 2 + 12 + 12
+
+    bpy.ops.mesh.primitive_plane_add(size=3, location=(0, 0, 2))
+    emitter = bpy.context.object
+    emitter.modifiers.new("Hair", "PARTICLE_SYSTEM")
+    hair = emitter.particle_systems[0].settings
+    hair.type, hair.count, hair.render_type, hair.instance_object = "HAIR", 7, "OBJECT", scene.objects["Cube"]
+    with_hair = shown(scene, tmp_path)
+    assert with_hair["instances"] == info["instances"] + 1 + 7
+    assert with_hair["unique_triangles"] == info["unique_triangles"] + 2
+
+
+@pytest.mark.timeout(120)
+@pytest.mark.parametrize("percentage", [29, 33, 57, 100])
+def test_the_size_is_blenders(scene, tmp_path, percentage):
+    scene.render.resolution_x, scene.render.resolution_y, scene.render.resolution_percentage = 100, 99, percentage
+    image = render(scene, tmp_path / "f12.exr")
+    height, width = image["ViewLayer.Combined.R"].shape
+    assert sys.modules[f"{MODULE}.extract"].render_size(scene.render) == (width, height)
+    assert image["ViewLayer.Visibility Key.X"].min() < 0.5
+
+
+@pytest.mark.timeout(120)
+def test_stereoscopy_is_refused(scene, tmp_path):
+    scene.render.use_multiview = True
+    scene.render.engine = "PENUMBRA"
+    use_multilayer_exr(scene, tmp_path / "f12.exr")
+    with pytest.raises(RuntimeError, match="stereoscopy is not supported"):
+        bpy.ops.render.render(write_still=True)
+
+
+@pytest.mark.timeout(120)
 def test_curves_text_and_metaballs_are_surfaces_too(scene, tmp_path):
     before = shown(scene, tmp_path)["triangles"]
     bpy.ops.curve.primitive_bezier_circle_add(location=(3, 0, 1))
