@@ -5,7 +5,7 @@ a plain GLB. The user's scene stays as it is."""
 from __future__ import annotations
 
 import os
-import tempfile
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -78,12 +78,12 @@ class _Export(ExportHelper):
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Writes the file."""
         path = Path(bpy.path.abspath(self.filepath))
+        # In the same folder, where relative paths to textures hold.
+        written = path.with_name(f".penumbra-{os.getpid()}-{path.name}")
         try:
-            with tempfile.TemporaryDirectory(prefix=".penumbra-", dir=path.parent) as folder:
-                written = Path(folder) / path.name
-                for warning in self.write(context, written):
-                    self.report({"WARNING"}, warning)
-                os.replace(written, path)
+            for warning in self.write(context, written):
+                self.report({"WARNING"}, warning)
+            os.replace(written, path)
         except (lights.UnsupportedLight, extract.ExtractError, process.ProcessError, glb.SceneTooLarge) as error:
             self.report({"ERROR"}, str(error))
             return {"CANCELLED"}
@@ -95,6 +95,9 @@ class _Export(ExportHelper):
             lines = [line.strip() for line in str(error).splitlines() if line.strip() and not line.startswith("Location:")]
             self.report({"ERROR"}, f"Blender's exporter failed: {lines[-1] if lines else error}")
             return {"CANCELLED"}
+        finally:
+            with suppress(OSError):
+                written.unlink(missing_ok=True)
         self.report({"INFO"}, f"wrote {path}")
         return {"FINISHED"}
 
@@ -204,7 +207,9 @@ class PENUMBRA_OT_export_usd(_Export, bpy.types.Operator):
             "convert_world_material": False,
             "export_custom_properties": True,
             "author_blender_name": True,
-            "overwrite_textures": False,
+            # Textures stay where they are (one setting from 4.3 on, another before).
+            "export_textures_mode": "KEEP",
+            "export_textures": False,
         }
         exporter = bpy.ops.wm.usd_export
         exporter(filepath=str(path), check_existing=False, **_supported(exporter, options))

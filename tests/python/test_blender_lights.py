@@ -316,6 +316,30 @@ def test_usd_keeps_suns_points_and_linking(scene, tmp_path):
 
 
 @pytest.mark.timeout(120)
+def test_usd_finds_its_textures_and_nothing_else_is_left(scene, tmp_path):
+    from pxr import Usd, UsdShade
+
+    image = bpy.data.images.new("Texture", 4, 4)
+    image.filepath_raw, image.file_format = str(tmp_path / "texture.png"), "PNG"
+    image.save()
+    material = bpy.data.materials.new("Textured")
+    if bpy.app.version < (5, 0, 0):
+        material.use_nodes = True
+    shader = next(node for node in material.node_tree.nodes if node.type == "BSDF_PRINCIPLED")
+    texture = material.node_tree.nodes.new("ShaderNodeTexImage")
+    texture.image = image
+    material.node_tree.links.new(texture.outputs["Color"], shader.inputs["Base Color"])
+    scene.objects["Floor"].data.materials.append(material)
+    path = tmp_path / "scene.usda"
+    assert bpy.ops.penumbra.export_usd(filepath=str(path)) == {"FINISHED"}
+    stage = Usd.Stage.Open(str(path))
+    shaders = [UsdShade.Shader(prim) for prim in stage.Traverse() if prim.IsA(UsdShade.Shader)]
+    files = [shader.GetInput("file").Get() for shader in shaders if shader.GetInput("file")]
+    assert [file.resolvedPath for file in files if file] == [str(tmp_path / "texture.png")]
+    assert sorted(entry.name for entry in tmp_path.iterdir()) == ["scene.usda", "texture.png"]
+
+
+@pytest.mark.timeout(120)
 def test_a_light_comes_back_from_the_file_as_blender_had_it(scene, tmp_path):
     """Blender → our file → the binary's lights → Blender's properties, by the formulas read backwards."""
     add_light(scene, "Disk", "AREA", shape="DISK", size=0.8, energy=123.0)
