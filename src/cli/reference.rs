@@ -37,7 +37,10 @@ pub struct Arguments {
     /// Light samples a receiver with `--method rays` (default: 4096)
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1 << 24))]
     samples: Option<u32>,
-    /// Answers at the position and normal layers of this image instead of a camera's receivers; the size is then that image's
+    /// Answers at the position and normal layers of this image instead of a camera's receivers; the size is then that image's.
+    ///
+    /// Positions of another renderer may be some way off their surfaces, which must not shadow them: the header says how far, in
+    /// metres, as `penumbra:position_error`.
     #[arg(long, value_name = "IN.exr", conflicts_with_all = ["aa", "frames"])]
     receivers: Option<PathBuf>,
     /// Keeps answers in this directory and finds them there again, as long as nothing that they depend on has changed
@@ -55,6 +58,9 @@ enum Method {
 
 /// Samples of `--method rays`: ten times below the error of 256 of any pattern.
 const DEFAULT_SAMPLES: u32 = 4096;
+
+/// Header attribute of an image whose positions are not the rounded truth: how far they may be from their surface, m.
+const POSITION_ERROR: &str = "penumbra:position_error";
 
 /// Runs the command.
 pub fn run(arguments: &Arguments, progress: &Progress) -> anyhow::Result<()> {
@@ -122,6 +128,16 @@ fn receivers_of(path: &Path, image: &Image, origin_world: DVec3) -> Result<Recei
     };
     let (positions, normals) = (layer("position")?, layer("normal")?);
     let shading_normals = image.xyz("shading_normal");
+    let error = match image.attributes.get(POSITION_ERROR) {
+        None => 0.0,
+        Some(text) => match text.parse::<f64>() {
+            Ok(error) if error >= 0.0 && error.is_finite() => error,
+            _ => {
+                let message = format!("{POSITION_ERROR} in the header: expected a length of at least 0, m, found {text:?}");
+                return Err(Error::Image { path: path.to_path_buf(), message });
+            }
+        },
+    };
     let coverage = image.channel("coverage.A");
     let depths = image.channel("depth.Z");
     let pixel = |i: usize| {
@@ -135,8 +151,8 @@ fn receivers_of(path: &Path, image: &Image, origin_world: DVec3) -> Result<Recei
         let shading_normal = shading_normals.and_then(|layer| vector(layer).try_normalize()).unwrap_or(normal);
         Some(Receiver {
             position: position_world - origin_world,
-            // A float's own rounding.
-            position_error: f64::from(f32::EPSILON) * position_world.abs().max_element(),
+            // A float's own rounding, and what its renderer says about how it came by it.
+            position_error: f64::from(f32::EPSILON) * position_world.abs().max_element() + error,
             normal,
             shading_normal: toward(shading_normal, normal),
             depth: depths.map_or(0.0, |depth| depth[i].into()),
