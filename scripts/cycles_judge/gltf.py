@@ -105,7 +105,9 @@ class Document:
 
     def node(self, name: str, matrix: np.ndarray, **members: object) -> None:
         """Adds a node at the root of the scene."""
-        self.json["nodes"].append({"name": name, "matrix": [float(value) for value in np.asarray(matrix).T.reshape(-1)]} | members)
+        self.json["nodes"].append(
+            {"name": name, "matrix": [float(value) for value in np.asarray(matrix).T.reshape(-1)]} | members
+        )
         self.json["scenes"][self.json.get("scene", 0)].setdefault("nodes", []).append(len(self.json["nodes"]) - 1)
 
     def shown(self) -> list[tuple[dict, np.ndarray]]:

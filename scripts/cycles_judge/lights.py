@@ -1,8 +1,9 @@
 """Lights in Blender's terms and in those of Penumbra's glTF block (PENUMBRA_lights), and the way from one to the other.
 
-Measured with Cycles of Blender 4.5 and 5.0 (tests/python/test_cycles_radiance.py), P in W, area A in m^2 with the object's scale:
-area lights L = P 2^exposure / (pi A), or P 2^exposure / pi with `normalize` off; points and spots of radius r: intensity
-P/(4 pi), which a disc or sphere of that radius has at L = P/(4 pi^2 r^2); suns: perpendicular irradiance = strength, whatever their angle.
+Measured with Cycles of Blender 4.5 and 5.0 (tests/python/test_cycles_radiance.py), P in W, area A in m^2 with the object's
+scale: area lights L = P 2^exposure / (pi A), or P 2^exposure / pi with `normalize` off; points and spots of radius r:
+intensity P/(4 pi), which a disc or sphere of that radius has at L = P/(4 pi^2 r^2); suns: perpendicular irradiance =
+strength, whatever their angle.
 """
 
 import math

@@ -17,15 +17,16 @@ from .scene import WORLD_FROM_BLENDER, Mesh, Scene, quiet
 # Farther than any surface: Blender's depth where there is none is 1e10.
 NOWHERE = 1e9
 
-# How far the samples of a pixel may lie apart on average and still be of one surface, pixels. The filter is a Gaussian of 0.01 pixel,
-# cut off at 0.015.
-ONE_SURFACE_PX = 0.05
+# How far the mean of a pixel's samples may lie from its first one where both are of one surface, pixels: no sample lies
+# farther, for the filter is a Gaussian of 0.01 pixel that is cut off at 0.015.
+ONE_SURFACE_PX = 0.015
 
-# And how short their mean normal may be: irradiance is linear in the normal, so that a mean normal made unit again is off by as much.
+# And how short their mean normal may be: irradiance is linear in the normal, so that a mean normal made unit again is off by
+# as much.
 ONE_SURFACE_NORMAL = 1e-4
 
-# Cycles works in floats: a vertex goes through two matrices of four terms each, a point is a sum of three products. Rounded to half a
-# unit in the last place each time, that leaves it within so many units of the largest coordinate around.
+# Cycles works in floats: a vertex goes through two matrices of four terms each, a point is a sum of three products. Rounded
+# to half a unit in the last place each time, that leaves it within so many units of the largest coordinate around.
 POSITION_ROUNDINGS = 8
 
 
@@ -38,6 +39,7 @@ class Settings:
     seed: int = 0
     denoise: bool = False
     threads: int = 0
+    shadowed_only: bool = False
 
 
 @dataclass
@@ -78,21 +80,23 @@ def render(scene: Scene, settings: Settings) -> Result:
     covered = None
     for light in scene.lights:
         casts_shadow = light.data.use_shadow
-        _with_light(scene, light, shadows=False)
-        pictures = {False: _picture(scene)}
-        _with_light(scene, light, shadows=casts_shadow)
-        pictures[True] = _picture(scene) if casts_shadow else pictures[False]
+        # With and without shadows: E and E0.
+        pictures = {}
+        for shadows in {casts_shadow} if settings.shadowed_only else {False, casts_shadow}:
+            _with_light(scene, light, shadows=shadows)
+            pictures[shadows] = _picture(scene)
         if covered is None:
-            covered, mixed = _add_receivers(scene, pictures[False], channels)
-        irradiance, unshadowed = (np.where(covered[..., None], math.pi * pictures[shadows].light, 0.0) for shadows in (True, False))
-        total, most = irradiance.sum(axis=-1), unshadowed.sum(axis=-1)
-        ratio = np.divide(total, most, out=np.zeros_like(total), where=most > 0.0)
-        for index, channel in enumerate("RGB"):
-            channels[f"{light.name}.irradiance.{channel}"] = irradiance[..., index]
-            channels[f"{light.name}.irradiance_unshadowed.{channel}"] = unshadowed[..., index]
-        channels[f"{light.name}.irradiance_ratio"] = ratio
-        seconds = {"irradiance": pictures[True].seconds, "irradiance_unshadowed": pictures[False].seconds}
-        lights.append({"name": light.name, "seconds": seconds})
+            covered, mixed = _add_receivers(scene, next(iter(pictures.values())), channels)
+        layers = {"irradiance": pictures[casts_shadow]}
+        if not settings.shadowed_only:
+            layers["irradiance_unshadowed"] = pictures[False]
+        for layer, picture in layers.items():
+            for index, channel in enumerate("RGB"):
+                channels[f"{light.name}.{layer}.{channel}"] = np.where(covered, math.pi * picture.light[..., index], 0.0)
+        if not settings.shadowed_only:
+            total, most = (np.where(covered, layers[layer].light.sum(axis=-1), 0.0) for layer in layers)
+            channels[f"{light.name}.irradiance_ratio"] = np.divide(total, most, out=np.zeros_like(total), where=most > 0.0)
+        lights.append({"name": light.name, "seconds": {layer: picture.seconds for layer, picture in layers.items()}})
     return Result(channels, int(mixed.sum()), int(covered.sum() + mixed.sum()), lights)
 
 

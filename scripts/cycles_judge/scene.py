@@ -177,7 +177,9 @@ def write_glb(scene: Scene, surfaces: list[Mesh], path: Path) -> None:
         settings = settings_of(light)
         matrix = np.array(light.matrix_world)
         scale = np.linalg.norm(matrix[:3, :3], axis=0)
-        block = penumbra_block(settings, exposure=light.data.exposure, normalize=light.data.normalize, scale=(scale[0], scale[1]))
+        block = penumbra_block(
+            settings, exposure=light.data.exposure, normalize=light.data.normalize, scale=(scale[0], scale[1])
+        )
         document.light(light.name, rigid(WORLD_FROM_BLENDER @ matrix), block)
     _write_camera(scene.scene, document)
     document.write(path)
@@ -368,7 +370,11 @@ def _has_light_nodes(data: bpy.types.Light) -> bool:
     if kinds != ["EMISSION", "OUTPUT_LIGHT"]:
         return True
     emission = next(node for node in tree.nodes if node.type == "EMISSION")
-    return emission.inputs["Strength"].default_value != 1.0 or tuple(emission.inputs["Color"].default_value)[:3] != (1.0, 1.0, 1.0)
+    return emission.inputs["Strength"].default_value != 1.0 or tuple(emission.inputs["Color"].default_value)[:3] != (
+        1.0,
+        1.0,
+        1.0,
+    )
 
 
 def _array(items: bpy.types.bpy_prop_collection, member: str, kind: type, count: int) -> np.ndarray:

@@ -133,7 +133,8 @@ fn receivers_of(path: &Path, image: &Image, origin_world: DVec3) -> Result<Recei
         Some(text) => match text.parse::<f64>() {
             Ok(error) if error >= 0.0 && error.is_finite() => error,
             _ => {
-                let message = format!("{POSITION_ERROR} in the header: expected a length of at least 0, m, found {text:?}");
+                let message =
+                    format!("{POSITION_ERROR} in the header: expected a length of at least 0, m, found {text:?}");
                 return Err(Error::Image { path: path.to_path_buf(), message });
             }
         },

@@ -1,4 +1,4 @@
-"""What the tests of the Cycles judge share: scenes, runs of Cycles and of the binary, and the statistics of two noisy pictures."""
+"""What the tests of the Cycles judge share: scenes, runs of Cycles and of the binary, statistics of two noisy pictures."""
 
 import json
 import math
@@ -25,7 +25,8 @@ CYCLES_REFERENCE = ROOT / "scripts/cycles_reference"
 # Seconds that any run of a test may take; the slow ones have their own.
 RUN_LIMIT_S = 120
 
-# Receivers with less than this share of the image's largest E0 see their light at a grazing angle: a ratio of two small numbers.
+# Receivers with less than this share of the image's largest E0 see their light at a grazing angle: a ratio of two small
+# numbers.
 LEAST_E0 = 0.02
 
 # In standard errors: what two unbiased pictures exceed in three of a thousand comparisons.
@@ -163,4 +164,3 @@ class Judged:
         """Mean of Cycles - truth, and its standard error."""
         errors = 0.5 * (self.first + self.second) - self.truth
         return float(errors.mean()), float(errors.std() / math.sqrt(len(errors)))
-

@@ -2,7 +2,6 @@
 
 import math
 import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -114,7 +113,8 @@ def errors_by_light(cycles_image: dict, closed_form: dict) -> dict[str, tuple[fl
 
 
 def well_inside_cone(image: dict) -> np.ndarray:
-    """Receivers that see all of the spots' disks from within their cones; all spots stand at one place and look at the origin."""
+    """Receivers that see all of the spots' disks from within their cones; all spots stand at one place and look at the
+    origin."""
     position = np.stack([image[f"position.{axis}"] for axis in "XYZ"], axis=-1)
     place = np.array([1.5, 4.0, -1.0])
     offset, axis = position - place, -place / np.linalg.norm(place)
@@ -153,4 +153,3 @@ def test_lights_of_a_blend_file_shine_in_cycles_as_their_closed_forms(version: s
     command = [python, ROOT / "scripts/cycles_reference", blend, "-o", output, "--glb", scene]
     run([*command, "--samples", SAMPLES, "--size", SIZE], 180)
     check(errors_by_light(read_exr(output), exact(scene, output)))
-

@@ -1,8 +1,8 @@
 """Shadows as Cycles sees them, E/E0, against the exact ones, and techniques as both judge them.
 
-Two pictures of Cycles by different seeds tell its noise; what they have in common against the exact answer has to be nothing that a
-mean over all pixels can resolve, and their noise has to fall as samples come, so that nothing is hidden in it. Kernel techniques
-know visibility alone, which Cycles does not show, and are not judged here.
+Two pictures of Cycles by different seeds tell its noise; what they have in common against the exact answer has to be nothing
+that a mean over all pixels can resolve, and their noise has to fall as samples come, so that nothing is hidden in it. Kernel
+techniques know visibility alone, which Cycles does not show, and are not judged here.
 """
 
 import math
@@ -38,6 +38,9 @@ FEW, MANY = 16, 256
 # Share of the pixels that may show more than one surface: silhouettes, which Cycles' 0.03 pixel wide samples meet by chance.
 MOST_MIXED = 0.02
 
+# Share of the largest E0 below which light counts as grazing.
+GRAZING_E0 = 0.1
+
 # How fast Cycles' error falls with its samples N, as N^-0.75 (its own papers; measured on a box and on Suzanne from 4 to 1024).
 CYCLES_TREND = 0.75
 
@@ -55,8 +58,8 @@ LIGHTS = {
 
 @dataclass(frozen=True)
 class Case:
-    """A scene with a rect light, and how much a shadow map's texels add to a technique's squared error there, times texels a side
-    (tests/map_scenes.rs)."""
+    """A scene with a rect light, and how much a shadow map's texels add to a technique's squared error there, times texels a
+    side (tests/map_scenes.rs)."""
 
     name: str
     build: Callable[[Path], Path]
@@ -90,8 +93,8 @@ def ball_scene(path: Path) -> Path:
 def shared_scene(
     model: str, *, ground: float, half: float, key: tuple, width: float, eye: tuple, target: tuple, flat: bool
 ) -> Callable[[Path], Path]:
-    """A shared model on a floor, under a rect light. Open surfaces are shown flat: below a smooth one's own horizon Cycles sees through
-    its holes."""
+    """A shared model on a floor, under a rect light. Open surfaces are shown flat: below a smooth one's own horizon Cycles
+    sees through its holes."""
 
     def build(path: Path) -> Path:
         document = Document.read(shared(model))
@@ -176,9 +179,7 @@ class Witness:
 
     def __init__(self, scene: Path, folder: Path, size: str = SIZE) -> None:
         self.scene, self.size = scene, size
-        runs = [
-            cycles(scene, folder / f"{scene.stem}.{seed}.exr", samples=MANY, size=size, seed=seed) for seed in (1, 2)
-        ]
+        runs = [cycles(scene, folder / f"{scene.stem}.{seed}.exr", samples=MANY, size=size, seed=seed) for seed in (1, 2)]
         self.pictures = [picture for picture, _ in runs]
         record = runs[0][1]
         self.mixed_share = record["mixed_pixels"] / record["covered_pixels"]
@@ -198,10 +199,10 @@ class Witness:
         unshadowed = total(self.unshadowed, light)
         return np.divide(total(image, light), unshadowed, out=np.zeros_like(unshadowed), where=unshadowed > 0.0)
 
-    def lit_well(self, light: str) -> np.ndarray:
-        """Where E0 is not a small number."""
+    def lit_well(self, light: str, least: float = LEAST_E0) -> np.ndarray:
+        """Where E0 is not a small share of the largest."""
         unshadowed = total(self.unshadowed, light)
-        return self.covered & (unshadowed >= LEAST_E0 * unshadowed.max())
+        return self.covered & (unshadowed >= least * unshadowed.max())
 
     def judged(self, light: str, pictures: list[Channels] | None = None) -> Judged:
         """Cycles' two pictures and the truth, in the penumbra."""
@@ -225,20 +226,38 @@ def check_agreement(witness: Witness, light: str) -> Judged:
     bias, bias_error = judged.bias
     print(
         f"{witness.scene.stem:8} {light:10} {len(judged.truth):5} px  noise {judged.noise:.5f}  "
-        f"common {math.copysign(math.sqrt(abs(common)), common):+.5f} ({math.sqrt(common_error):.5f})  bias {bias:+.1e} ({bias_error:.1e})"
+        f"common square {common:+.1e} ({common_error:.1e})  bias {bias:+.1e} ({bias_error:.1e})"
     )
     assert common <= SIGMAS * common_error, "both pictures of Cycles differ from the exact answer in the same way"
     assert abs(bias) <= SIGMAS * bias_error, "Cycles is brighter or darker than the exact answer"
-    # Seen whole or not at all: Cycles' rays say so one by one. Its own E0 knows no horizon but the shading normal's.
-    flat = sum(witness.pictures[0][f"normal.{axis}"] * witness.pictures[0][f"shading_normal.{axis}"] for axis in "XYZ") > 1.0 - 1e-6
+    # Seen whole or not at all: Cycles' rays say so one by one. Its own E0 knows no horizon but the shading normal's, and where
+    # light grazes a surface its floats decide which side of it a ray starts on.
+    aligned = sum(witness.pictures[0][f"normal.{axis}"] * witness.pictures[0][f"shading_normal.{axis}"] for axis in "XYZ")
     share = witness.exact[f"{light}.irradiance_ratio"]
+    decided = witness.lit_well(light, GRAZING_E0) & (aligned > 1.0 - 1e-6) & ~near_edges(witness.pictures[0], share)
+    assert (decided & (share == 1.0)).sum() > 1000
     for picture in witness.pictures:
         ratio = picture[f"{light}.irradiance_ratio"]
         for seen in (0.0, 1.0):
-            pixels = witness.lit_well(light) & flat & (share == seen)
-            wrong = pixels & (np.abs(ratio - seen) > 1e-4)
-            assert not wrong.any(), f"{light}: exact says {seen}, Cycles {ratio[wrong][:5]} at {np.argwhere(wrong)[:5].tolist()}"
+            wrong = decided & (share == seen) & (np.abs(ratio - seen) > 1e-4)
+            found = ratio[wrong][:5], np.argwhere(wrong)[:5].tolist()
+            assert not wrong.any(), f"{light}: exact says {seen}, Cycles {found}"
     return judged
+
+
+def near_edges(image: Channels, share: np.ndarray) -> np.ndarray:
+    """Pixels beside a silhouette or a penumbra: some of Cycles' samples, up to 0.015 pixel off, may lie beyond."""
+    covered = image["coverage.A"] == 1.0
+    edges = ~covered | ((share > 0.0) & (share < 1.0))
+    depth = np.where(covered, image["depth.Z"], np.nan)
+    # Along a plane depth grows evenly, however steep: a bend of half a pixel's width is an edge.
+    width = np.median(np.linalg.norm(np.diff([image[f"position.{name}"] for name in "XYZ"], axis=2), axis=0))
+    for axis in (0, 1):
+        bend = np.abs(np.diff(depth, n=2, axis=axis)) > 0.5 * width
+        edges |= np.pad(bend, [(1, 1), (0, 0)] if axis == 0 else [(0, 0), (1, 1)])
+    padded = np.pad(edges, 1)
+    rows, columns = edges.shape
+    return np.any([padded[y : y + rows, x : x + columns] for y in range(3) for x in range(3)], axis=0)
 
 
 def check_trend(witness: Witness, light: str, few: list[Channels]) -> None:
@@ -272,9 +291,7 @@ def test_cycles_converges_to_the_exact_answer(case: tuple[Case, Witness], folder
     _, witness = case
     assert witness.mixed_share < MOST_MIXED
     check_agreement(witness, "rect")
-    few = [
-        cycles(witness.scene, folder / f"few.{seed}.exr", samples=FEW, size=witness.size, seed=seed)[0] for seed in (3, 4)
-    ]
+    few = [cycles(witness.scene, folder / f"few.{seed}.exr", samples=FEW, size=witness.size, seed=seed)[0] for seed in (3, 4)]
     check_trend(witness, "rect", few)
 
 
@@ -295,8 +312,8 @@ def test_cycles_judges_techniques_as_the_exact_answer_does(technique: str, case:
     pixels = seen & same
     test, truth = (channels[f"{light}.irradiance_ratio"][pixels] for channels in (image, truth_image))
     first, second = (witness.ratio(picture, light)[pixels] for picture in witness.pictures)
-    # The mean square of the technique's error, by the exact answer, and by Cycles alone: the product of its differences from two
-    # pictures of independent noise.
+    # The mean square of the technique's error, by the exact answer, and by Cycles alone: the product of its differences from
+    # two pictures of independent noise.
     by_exact, by_cycles = (test - truth) ** 2, (test - first) * (test - second)
     difference = by_cycles - by_exact
     error = difference.std() / math.sqrt(len(difference))
@@ -319,10 +336,10 @@ APPROXIMATE = {"temporal"}
 MAP_TEXELS = 1024
 TECHNIQUES = {
     "reference": ["reference"],
-    "rays": ["render", "--technique", "rays", "--set", "samples=256"],
-    "uniform": ["render", "--technique", "uniform", "--set", "samples=256", "--set", f"map_size={MAP_TEXELS}"],
+    "rays": ["render", "--technique", "rays", "--set", "samples=81"],
+    "uniform": ["render", "--technique", "uniform", "--set", "samples=81", "--set", f"map_size={MAP_TEXELS}"],
     "adaptive": ["render", "--technique", "adaptive", "--set", f"map_size={MAP_TEXELS}"],
-    "temporal": ["render", "--technique", "temporal", "--set", "frames=256", "--set", f"map_size={MAP_TEXELS}"],
+    "temporal": ["render", "--technique", "temporal", "--set", "frames=81", "--set", f"map_size={MAP_TEXELS}"],
 }
 
 
@@ -331,7 +348,19 @@ def rendered(witness: Witness, technique: str, folder: Path) -> Channels:
     output = folder / f"{witness.scene.stem}.{technique}.exr"
     if not output.is_file():
         command, *options = TECHNIQUES[technique]
-        penumbra(command, witness.scene, *options, "--size", witness.size, "--quantity", "irradiance", "--aov", "position", "-o", output)
+        penumbra(
+            command,
+            witness.scene,
+            *options,
+            "--size",
+            witness.size,
+            "--quantity",
+            "irradiance",
+            "--aov",
+            "position",
+            "-o",
+            output,
+        )
     return read_exr(output)
 
 
