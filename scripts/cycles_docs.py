@@ -226,8 +226,8 @@ def judged(image: Channels, exact: Channels, unshadowed: Channels, *, own_unshad
     most, share = total(unshadowed, "irradiance"), exact["Key.irradiance_ratio"]
     covered = (image["coverage.A"] == 1.0) & (exact["coverage.A"] == 1.0)
     pixels = covered & (most >= LEAST_E0 * most.max()) & (share > 0.0) & (share < 1.0)
-    own = total(image, "irradiance_unshadowed") if own_unshadowed else most
-    return (total(image, "irradiance")[pixels] / np.maximum(own[pixels], 1e-30)) - (total(exact, "irradiance") / most)[pixels]
+    own = (total(image, "irradiance_unshadowed") if own_unshadowed else most)[pixels]
+    return total(image, "irradiance")[pixels] / np.maximum(own, 1e-30) - total(exact, "irradiance")[pixels] / most[pixels]
 
 
 def total(image: Channels, layer: str) -> np.ndarray:
@@ -297,8 +297,9 @@ def draw(results: dict[str, list[Measurement]], path: Path) -> None:
         panel.grid(True, which="major", color="0.85")
     panels[0][0].set_ylabel("RMSE in the penumbra")
     handles, labels = panels[0][0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="lower center", ncol=math.ceil(len(families) / 3), fontsize=9, frameon=False)
-    figure.tight_layout(rect=(0.0, 0.15, 1.0, 1.0))
+    columns = 2 * len(results)
+    figure.legend(handles, labels, loc="lower center", ncol=columns, fontsize=9, frameon=False)
+    figure.tight_layout(rect=(0.0, 0.04 + 0.036 * math.ceil(len(families) / columns), 1.0, 1.0))
     figure.savefig(path, dpi=100)
 
 

@@ -8,11 +8,12 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import bpy
+import mathutils
 import numpy as np
 import OpenEXR
 
 from . import Fault
-from .scene import WORLD_FROM_BLENDER, Mesh, Scene, quiet
+from .scene import SURFACES, WORLD_FROM_BLENDER, Mesh, Scene, quiet
 
 # Farther than any surface: Blender's depth where there is none is 1e10.
 NOWHERE = 1e9
@@ -226,6 +227,17 @@ def _prepare_eevee(scene: Scene, settings: Settings) -> None:
     eevee.light_threshold = 0.001
     for light in scene.lights:
         light.data.use_shadow_jitter = True
+    # Its shadow maps are fitted to the camera's range, which glTF may leave open.
+    view = scene.scene.camera.matrix_world.inverted()
+    depths = [
+        -(view @ item.matrix_world @ mathutils.Vector(corner)).z
+        for item in scene.scene.objects
+        if item.type in SURFACES
+        for corner in item.bound_box
+    ]
+    camera = scene.scene.camera.data
+    camera.clip_end = min(camera.clip_end, 1.01 * max(depths))
+    camera.clip_start = max(camera.clip_start, 1e-3 * camera.clip_end)
 
 
 def _samples(scene: Scene, settings: Settings, count: int) -> None:

@@ -209,6 +209,8 @@ class Witness:
         truth = self.ratio(self.exact, light)
         share = self.exact[f"{light}.irradiance_ratio"]
         penumbra_pixels = self.lit_well(light) & (share > 0.0) & (share < 1.0)
+        for picture in pictures or self.pictures:
+            penumbra_pixels &= picture["coverage.A"] == 1.0
         assert penumbra_pixels.sum() > 50, f"{light}: {penumbra_pixels.sum()} pixels in the penumbra"
         first, second = (self.ratio(picture, light)[penumbra_pixels] for picture in pictures or self.pictures)
         return Judged(first, second, truth[penumbra_pixels])
