@@ -68,7 +68,9 @@ than one surface have coverage 0. Cut-outs, tubes, lights made of meshes, soft s
 
 ## Time and error
 
-{machine} Times are wall clock on that machine{load}: ratios of runs in turn, nothing absolute; the median of {rounds}.
+{machine}
+Times are wall clock on that machine{load}: ratios of runs in turn, nothing absolute;
+{rounds}.
 Penumbra's time is building and rendering, Cycles' and EEVEE's that of `render`, after a first picture where shaders are
 compiled; loading and writing are left out everywhere. {size} pixels, one rect light. Error: RMSE over the penumbra against
 the exact answer. Of Cycles, EEVEE (by its own E0) and techniques that weight each sample, it is that of E/E0; of the
@@ -113,7 +115,10 @@ def main() -> int:
     machine = f"Measured {datetime.date.today()} on {processor()}, {os.cpu_count()} threads, {blender_version()}."
     load = f", which other work shared (a load of {before:.0f} at the start)" if before > 2.0 else ""
     head = TEMPLATE.format(
-        machine=machine, load=load, rounds=f"{rounds} runs" if rounds > 1 else "one run", size=f"{size[0]} x {size[1]}"
+        machine=machine,
+        load=load,
+        rounds=f"the median of {rounds} runs" if rounds > 1 else "one run of each",
+        size=f"{size[0]} x {size[1]}",
     )
     results = {}
     for name, scene in scenes(work, given.quick).items():
@@ -291,7 +296,8 @@ def draw(results: dict[str, list[Measurement]], path: Path) -> None:
             )
         exact = next(point for point in points if point.family == "reference")
         panel.axvline(exact.seconds, color="black", linewidth=1.0)
-        panel.text(exact.seconds, 0.98, " exact", transform=panel.get_xaxis_transform(), va="top", fontsize=9)
+        panel.text(exact.seconds, 0.02, " exact", transform=panel.get_xaxis_transform(), fontsize=9)
+        panel.margins(y=0.08)
         panel.set_title(name)
         panel.set_xlabel("time, s")
         panel.grid(True, which="major", color="0.85")
