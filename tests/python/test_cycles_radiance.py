@@ -144,7 +144,7 @@ def test_lights_of_a_gltf_file_shine_in_cycles_as_their_closed_forms(tmp_path: P
     check(errors_by_light(image, exact(scene, tmp_path / "cycles.exr")))
 
 
-@pytest.mark.timeout(240)
+@pytest.mark.timeout(900)
 @pytest.mark.parametrize("version", PYTHONS)
 def test_lights_of_a_blend_file_shine_in_cycles_as_their_closed_forms(version: str, tmp_path: Path) -> None:
     python = python_of(version)
