@@ -76,7 +76,7 @@ fn results_have_every_field_of_the_schema() {
     assert!(stderr.is_empty(), "{stderr}");
     let results = results(directory.path());
     assert_eq!(keys(&results), ["version", "suite", "records"]);
-    assert_eq!((&results["version"], &results["suite"]), (&2.into(), &"suite".into()));
+    assert_eq!((&results["version"], &results["suite"]), (&3.into(), &"suite".into()));
     let records = results["records"].as_array().expect("records");
     assert_eq!(records.len(), 4);
     let widths: Vec<&Value> = records.iter().map(|record| &record["size"][0]).collect();
