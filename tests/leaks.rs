@@ -72,3 +72,20 @@ fn every_technique_leaks_as_much_as_is_stated_and_no_more() {
     }
     assert!(failures.is_empty(), "{failures:#?}");
 }
+
+#[test]
+fn every_technique_has_its_section_and_pictures_in_the_docs() {
+    let docs = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("docs");
+    let page = std::fs::read_to_string(docs.join("techniques.md")).expect("a page");
+    for entry in ALL {
+        let name = entry.name;
+        assert!(page.contains(&format!("\n## {name}\n")), "docs/techniques.md has no section {name}");
+        assert!(page.contains(&format!("| [`{name}`](#{name}) |")), "scripts/techniques_page has not measured {name}");
+        for file in [format!("{name}.png"), format!("{name}.difference.png")] {
+            assert!(
+                docs.join("images/techniques").join(&file).is_file(),
+                "scripts/techniques_page has not made {file}"
+            );
+        }
+    }
+}

@@ -32,7 +32,7 @@ pub const ENTRY: Entry = Entry {
     needs: Needs::Gpu,
     schema: schema_of::<Bitmask>,
     presets: &[("paper", "search=8 side=8 patches=texels"), ("12x12", "search=12 side=16 patches=texels")],
-    demo: &["", "search=8 side=8 patches=texels"],
+    demo: &["map_size=512", "search=8 side=8 patches=texels"],
     build,
 };
 
