@@ -26,6 +26,7 @@ pub mod reference;
 pub mod render;
 pub mod sampling;
 pub mod scene;
+pub mod shading;
 pub mod techniques;
 
 pub use error::{Error, Result};

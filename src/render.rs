@@ -2,8 +2,7 @@
 
 use std::time::Instant;
 
-use glam::{DVec2, Vec3};
-use rayon::prelude::*;
+use glam::DVec2;
 
 use crate::geometry::bvh::{SceneBvh, is_out_of_view};
 use crate::geometry::shaft::{Shaft, light_bounds};
@@ -11,9 +10,10 @@ use crate::gpu::scene::SceneBuffers;
 use crate::gpu::{Adapter, Gpu, gbuffer};
 use crate::history::{History, Shot};
 use crate::progress::{Progress, ms_since};
-use crate::receivers::{Receiver, Receivers, within};
+use crate::receivers::{Receivers, within};
 use crate::reference::verify::{self, Verified};
 use crate::scene::{AreaLight, Bounds, Camera, Scene, Shape};
+use crate::shading::{Shading, add_radiance};
 use crate::techniques::{Frame, LightImage, Pass, Technique, add_passes};
 use crate::{Error, Result};
 
@@ -24,8 +24,8 @@ pub struct Request {
     pub size: [u32; 2],
     /// Irradiance beside visibility.
     pub irradiance: bool,
-    /// The Lambertian image, which needs irradiance.
-    pub shaded: bool,
+    /// The shaded image, which needs irradiance, and how surfaces reflect in it.
+    pub shaded: Option<Shading>,
     /// Sub-pixels a side for irradiance and the shaded image; visibility is always that of the pixel's centre.
     pub antialiasing: u32,
     /// Receivers at which each light's visibility is held against the exact answer; none to leave it.
@@ -54,7 +54,7 @@ pub struct Rendering {
     pub receivers: Receivers,
     /// One for each of the scene's lights.
     pub lights: Vec<LightImage>,
-    /// Lambertian radiance, W/(m²·sr), RGB; empty unless asked for.
+    /// Radiance towards the camera, W/(m²·sr), RGB; empty unless asked for.
     pub shaded: Vec<[f32; 3]>,
     /// The measured error of each light; empty unless asked for.
     pub verified: Vec<Verified>,
@@ -103,7 +103,7 @@ fn render_after(
     let border = technique.border_px(request.size);
     let seen_size = [0, 1].map(|i| u64::from(request.size[i]) + 2 * u64::from(border[i]));
     check_memory(scene, seen_size[0] * seen_size[1])?;
-    let passes = if request.irradiance || request.shaded { request.antialiasing.pow(2) } else { 0 };
+    let passes = if request.irradiance || request.shaded.is_some() { request.antialiasing.pow(2) } else { 0 };
     let rows = seen_size[1];
     let lights = scene.lights.len() as u64;
     let verify_steps = lights * request.verify.map_or(0, verify::steps);
@@ -117,10 +117,10 @@ fn render_after(
     // With one receiver a pixel, the centre serves both quantities.
     let at_centers = passes <= 1;
     let mut lights = view.lights(&seen, technique, at_centers && passes == 1, progress)?;
-    let mut shaded = if request.shaded { vec![[0.0; 3]; receivers.pixels.len()] } else { Vec::new() };
+    let mut shaded = if request.shaded.is_some() { vec![[0.0; 3]; receivers.pixels.len()] } else { Vec::new() };
     if at_centers {
-        if request.shaded {
-            add_shaded(&mut shaded, scene, receivers, &lights, 1.0);
+        if let Some(shading) = request.shaded {
+            add_radiance(&mut shaded, shading, (scene, receivers), &lights, &shot);
         }
     } else {
         let n = request.antialiasing;
@@ -129,16 +129,17 @@ fn render_after(
         let mut shaded_sum = vec![[0f64; 3]; shaded.len()];
         for i in 0..passes {
             let offset = DVec2::new(f64::from(i % n) + 0.5, f64::from(i / n) + 0.5) / f64::from(n);
-            view.shot = Some(Shot { pass: 1 + i, offset_px: offset, ..shot });
+            let shot = Shot { pass: 1 + i, offset_px: offset, ..shot };
+            view.shot = Some(shot);
             let seen = view.receivers(offset, progress)?;
             let lights = view.lights(&seen, technique, true, progress)?;
             let receivers = seen.within(border);
             for (sum, light) in sums.iter_mut().zip(&lights) {
                 accumulate(sum, &light.irradiance, share);
             }
-            if request.shaded {
+            if let Some(shading) = request.shaded {
                 let mut pass = vec![[0.0; 3]; shaded.len()];
-                add_shaded(&mut pass, scene, &receivers, &lights, 1.0);
+                add_radiance(&mut pass, shading, (scene, &receivers), &lights, &shot);
                 accumulate(&mut shaded_sum, &pass, share);
             }
         }
@@ -413,32 +414,6 @@ fn accumulate(sum: &mut [[f64; 3]], values: &[[f32; 3]], share: f64) {
     for (sum, value) in sum.iter_mut().zip(values) {
         for channel in 0..3 {
             sum[channel] += share * f64::from(value[channel]);
-        }
-    }
-}
-
-/// Adds Lambertian radiance: base colour / π times the lights' irradiance.
-fn add_shaded(shaded: &mut [[f32; 3]], scene: &Scene, receivers: &Receivers, lights: &[LightImage], share: f32) {
-    shaded.par_iter_mut().enumerate().for_each(|(i, shaded)| {
-        let Some(receiver) = &receivers.pixels[i] else { return };
-        let mut irradiance = Vec3::ZERO;
-        for light in lights {
-            irradiance += Vec3::from(light.irradiance[i]);
-        }
-        let radiance = base_color(scene, receiver) * irradiance * (share * std::f32::consts::FRAC_1_PI);
-        *shaded = (Vec3::from(*shaded) + radiance).to_array();
-    });
-}
-
-/// Linear base colour at a receiver.
-fn base_color(scene: &Scene, receiver: &Receiver) -> Vec3 {
-    let mesh = &scene.meshes[scene.instances[receiver.instance as usize].mesh];
-    let Some(material) = mesh.material.map(|index| &scene.materials[index]) else { return Vec3::ONE };
-    match &material.base_color_texture {
-        None => material.base_color,
-        Some(texture) => {
-            let uv = mesh.uv_at(receiver.triangle as usize, receiver.barycentric.map(f64::from));
-            material.base_color * Vec3::from(texture.sample(uv))
         }
     }
 }

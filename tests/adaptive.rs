@@ -18,7 +18,7 @@ use penumbra::techniques::{Entry, LightImage, Technique, parse_settings};
 
 /// A scene's first camera's view.
 fn view(scene: &Scene, technique: &dyn Technique, size: [u32; 2]) -> Rendering {
-    let request = Request { size, irradiance: false, shaded: false, antialiasing: 1, verify: None };
+    let request = Request { size, irradiance: false, shaded: None, antialiasing: 1, verify: None };
     render(scene, &scene.cameras[0], technique, &request, &Progress::default()).expect("renders")
 }
 

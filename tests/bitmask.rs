@@ -273,7 +273,7 @@ fn every_end_of_every_parameter_gives_an_answer() {
 /// The key light of a procedural scene's view.
 fn view(scene: &str, technique: &dyn Technique) -> LightImage {
     let procedural = procedural::build(scene).expect("builds");
-    let request = Request { size: [48; 2], irradiance: false, shaded: false, antialiasing: 1, verify: None };
+    let request = Request { size: [48; 2], irradiance: false, shaded: None, antialiasing: 1, verify: None };
     let camera = &procedural.scene.cameras[0];
     render(&procedural.scene, camera, technique, &request, &Progress::default()).expect("renders").lights.swap_remove(0)
 }

@@ -15,12 +15,13 @@ use penumbra::render::{Rendering, Request, render};
 use penumbra::scene::camera::look_at;
 use penumbra::scene::procedural::build;
 use penumbra::scene::{Camera, Projection, Scene};
+use penumbra::shading::Shading;
 use penumbra::techniques::cascaded::{Planes, planes, shares};
 use penumbra::techniques::{Entry, Technique, parse_settings};
 
 /// A scene's first camera's view.
 fn view(scene: &Scene, technique: &dyn Technique, size: [u32; 2]) -> Rendering {
-    let request = Request { size, irradiance: true, shaded: false, antialiasing: 1, verify: None };
+    let request = Request { size, irradiance: true, shaded: None, antialiasing: 1, verify: None };
     render(scene, &scene.cameras[0], technique, &request, &Progress::default()).expect("renders")
 }
 
@@ -41,6 +42,32 @@ fn along(scene: &Scene, x: f64, depths: &[f64]) -> Receivers {
 /// A square light of half side 1 at height 5 over a half-plane at x < 0 and height 2 that goes on in depth: V depends on x alone.
 fn long_edge() -> Scene {
     scene(vec![mesh(&quad([-1000.0, 0.0], 2.0, [-1000.0, 1000.0]))], vec![square_light(1.0, 5.0)])
+}
+
+#[test]
+fn phongs_highlights_are_dimmed_as_irradiance_is() {
+    let mut scene = build("demo").expect("builds").scene;
+    scene.lights.truncate(1);
+    let mut unshadowed = scene.clone();
+    unshadowed.lights[0].casts_shadow = false;
+    let shaded = |scene: &Scene, shading| {
+        let request =
+            Request { size: [64, 48], irradiance: true, shaded: Some(shading), antialiasing: 1, verify: None };
+        render(scene, &scene.cameras[0], cascaded("").as_ref(), &request, &Progress::default()).expect("renders")
+    };
+    let (phong, lambert) = (shaded(&scene, Shading::Phong), shaded(&scene, Shading::Lambert));
+    let lit = shaded(&unshadowed, Shading::Phong);
+    let ratio = &phong.lights[0].irradiance_ratio;
+    let (mut highlights, mut shadows) = (0, 0);
+    let pixels = phong.shaded.iter().zip(&lambert.shaded).zip(lit.shaded.iter().zip(ratio));
+    for (i, ((phong, lambert), (lit, &ratio))) in pixels.enumerate() {
+        for (found, whole) in phong.iter().zip(lit) {
+            assert!((found - whole * ratio).abs() <= 1e-6 * whole, "pixel {i}: {found}, {whole} times {ratio}");
+        }
+        highlights += u32::from(phong[1] > 1.05 * lambert[1]);
+        shadows += u32::from(lit[1] > 0.0 && ratio < 1.0);
+    }
+    assert!(highlights > 10 && shadows > 300, "{highlights} pixels of highlights, {shadows} of shadows");
 }
 
 // --------------------------------------------------------------------------------------------------------------- splits

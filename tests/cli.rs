@@ -278,6 +278,7 @@ fn wrong_usage_is_told_in_one_line() {
     fail(&render(&["--max-error", "0.01"]), 2, "no technique `auto` yet");
     fail(&["render", "procedural:square", "-o", "out.jpg"], 2, ".exr or .png");
     fail(&["render", "procedural:square", "-o", "out.png", "--quantity", "irradiance"], 2, ".exr");
+    fail(&["render", "procedural:square", "-o", "out.png", "--shading", "phong"], 2, "--quantity shaded");
     fail(&["render", "procedural:sqare", "-o", "out.exr"], 2, "square");
     fail(&["render", "scene.usd", "-o", "out.exr"], 2, "USD");
     fail(&["render"], 2, "required");

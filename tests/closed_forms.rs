@@ -39,7 +39,7 @@ fn rmse(errors: &[f64]) -> f64 {
 }
 
 fn render_view(procedural: &Procedural, technique: &dyn Technique, size: u32) -> Rendering {
-    let request = Request { size: [size, size], irradiance: true, shaded: false, antialiasing: 1, verify: None };
+    let request = Request { size: [size, size], irradiance: true, shaded: None, antialiasing: 1, verify: None };
     let scene = &procedural.scene;
     render(scene, &scene.cameras[0], technique, &request, &Progress::default()).expect("renders")
 }

@@ -70,7 +70,7 @@ fn unculled(scene: &Scene, offset_px: DVec2, technique: &dyn Technique) -> (Rece
 }
 
 fn request(antialiasing: u32) -> Request {
-    Request { size: SIZE, irradiance: true, shaded: false, antialiasing, verify: None }
+    Request { size: SIZE, irradiance: true, shaded: None, antialiasing, verify: None }
 }
 
 fn bits(values: &[f32]) -> Vec<u32> {

@@ -43,7 +43,7 @@ fn a_cut_out_without_a_texture_is_a_hole_or_solid_and_never_sampled() {
     for (factor, hidden) in [(0.4, 0.0), (0.6, 1.0)] {
         let mut scene = scene(vec![mesh(&quad([-9.0, 9.0], 2.0, [-9.0, 0.0]))], vec![square_light(0.5, 5.0)]);
         let cutout = Some(Cutout { cutoff: 0.5, factor, texture: None });
-        scene.materials.push(Material { name: "leaf".into(), base_color: Vec3::ONE, base_color_texture: None, cutout });
+        scene.materials.push(Material { name: "leaf".into(), cutout, ..Material::default() });
         scene.meshes[0].material = Some(0);
         let answers = exact(&scene, &receivers(&scene, &[DVec3::new(0.0, 0.0, -1.0)], DVec3::Y)).swap_remove(0);
         assert_eq!((answers[0].visibility, answers[0].sampled), (1.0 - hidden, false), "factor {factor}");
@@ -169,7 +169,7 @@ fn no_triangle_in_a_pyramid_is_passed_over() {
 fn verification_finds_the_error_of_the_whole_image() {
     let scene = build("demo").expect("builds").scene;
     let camera = &scene.cameras[0];
-    let request = Request { size: [160, 120], irradiance: false, shaded: false, antialiasing: 1, verify: Some(512) };
+    let request = Request { size: [160, 120], irradiance: false, shaded: None, antialiasing: 1, verify: Some(512) };
     let progress = Progress::default();
     let truth =
         render(&scene, camera, &Exact, &Request { verify: None, ..request.clone() }, &progress).expect("renders");

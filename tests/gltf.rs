@@ -343,6 +343,29 @@ fn base_colors_come_with_their_meshes() {
     assert_eq!(scene.materials[scene.meshes[0].material.unwrap()].base_color, Vec3::new(0.25, 0.5, 1.0));
 }
 
+#[test]
+fn metalness_and_roughness_are_factors_alone() {
+    let mut file = File::square();
+    let texture = json!({"index": 0});
+    let shiny = json!({"metallicFactor": 0.25, "roughnessFactor": 0.5, "metallicRoughnessTexture": texture});
+    file.json["materials"] = json!([{"name": "shiny", "pbrMetallicRoughness": shiny}, {}]);
+    file.primitive()["material"] = json!(0);
+    push(
+        &mut file.json["meshes"][0]["primitives"],
+        json!({"attributes": {"POSITION": 0}, "indices": 1, "material": 1}),
+    );
+    let load = |highlights| {
+        let options = LoadOptions { highlights, ..LoadOptions::default() };
+        gltf::load_slice(&file.gltf(), None, "test", options).unwrap()
+    };
+    let scene = load(true);
+    let factors: Vec<_> = scene.materials.iter().map(|material| (material.metallic, material.roughness)).collect();
+    // Without factors: glTF's own.
+    assert_eq!(factors, [(0.25, 0.5), (1.0, 1.0)]);
+    assert_eq!(scene.warnings, ["`shiny`: textures of metalness and roughness are left out"]);
+    assert!(load(false).warnings.is_empty());
+}
+
 /// The square with a 2 × 1 texture: red and opaque, then green and transparent.
 fn textured(material: Value) -> File {
     let mut png = std::io::Cursor::new(Vec::new());
@@ -922,7 +945,7 @@ fn every_shared_scene_loads_or_fails_with_its_one_line() {
     found.sort();
     assert_eq!(found, table.keys().cloned().collect::<Vec<_>>(), "every file is in the table");
     for (path, expected) in table {
-        let result = gltf::load(&folder.join(&path), LoadOptions { base_color_textures: true });
+        let result = gltf::load(&folder.join(&path), LoadOptions { base_color_textures: true, ..LoadOptions::default() });
         match (result, expected) {
             (Ok(scene), Ok((triangles, instances, lights, warnings))) => {
                 assert_eq!((scene.triangle_count(), scene.instances.len()), (triangles, instances), "{path}");

@@ -75,7 +75,7 @@ fn is_strict(entry: &Entry) -> bool {
 fn drawn(entry: &Entry) -> Vec<f32> {
     let settings = parse_settings(&settings(entry)).expect("settings");
     let technique = (entry.build)(&CONTEXT, &settings).expect("builds");
-    let request = Request { size: SIZE, irradiance: false, shaded: false, antialiasing: 1, verify: None };
+    let request = Request { size: SIZE, irradiance: false, shaded: None, antialiasing: 1, verify: None };
     let mut found =
         render(&DEMO, &DEMO.cameras[0], technique.as_ref(), &request, &Progress::default()).expect("renders");
     found.lights.swap_remove(0).visibility

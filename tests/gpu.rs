@@ -306,9 +306,8 @@ fn masked(texture: Texture<1>, factor: f32, cutoff: f32) -> Scene {
     let mut scene = scene(vec![square], Vec::new());
     scene.materials.push(Material {
         name: "holes".into(),
-        base_color: glam::Vec3::ONE,
-        base_color_texture: None,
         cutout: Some(Cutout { cutoff, factor, texture: Some(Arc::new(texture)) }),
+        ..Material::default()
     });
     scene
 }

@@ -161,7 +161,7 @@ fn receivers_are_split_where_a_binding_cannot_hold_them() {
         let entry = Entry::find("uniform").expect("registered");
         let settings = parse_settings("samples=4 map_size=64").expect("settings");
         let technique = (entry.build)(context, &settings).expect("builds");
-        let request = Request { size, irradiance: true, shaded: false, antialiasing: 1, verify: None };
+        let request = Request { size, irradiance: true, shaded: None, antialiasing: 1, verify: None };
         let progress = Progress::default();
         let rendering = render(scene, &scene.cameras[0], technique.as_ref(), &request, &progress).expect("renders");
         rendering.lights.into_iter().map(|light| (light.visibility, light.irradiance, light.texels)).collect::<Vec<_>>()

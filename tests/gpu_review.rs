@@ -9,7 +9,7 @@ fn render_with(procedural: &Procedural, technique: &str, settings: &str, size: u
     let settings = parse_settings(settings).expect("settings");
     let technique =
         (Entry::find(technique).expect("registered").build)(&Context::default(), &settings).expect("builds");
-    let request = Request { size: [size, size], irradiance: false, shaded: false, antialiasing: 1, verify: None };
+    let request = Request { size: [size, size], irradiance: false, shaded: None, antialiasing: 1, verify: None };
     let scene = &procedural.scene;
     render(scene, &scene.cameras[0], technique.as_ref(), &request, &Progress::default()).expect("renders")
 }

@@ -42,7 +42,7 @@ const STATED: [(&str, [u32; 4]); 14] = [
 
 /// What a technique sees from each pixel, 48 x 36.
 fn seen(scene: &Scene, technique: &dyn Technique) -> Vec<f32> {
-    let request = Request { size: [48, 36], irradiance: false, shaded: false, antialiasing: 1, verify: None };
+    let request = Request { size: [48, 36], irradiance: false, shaded: None, antialiasing: 1, verify: None };
     let mut rendering = render(scene, &scene.cameras[0], technique, &request, &Progress::default()).expect("renders");
     rendering.lights.swap_remove(0).visibility
 }

@@ -44,7 +44,7 @@ fn rmse(test: &Rendering, truth: &Rendering) -> f64 {
 
 /// Holds `uniform` against rays at as many samples, on maps that grow.
 fn maps_add_what_their_texels_are_worth(name: &str, scene: &Scene, camera: &Camera, texel_error: f64) {
-    let request = Request { size: SIZE, irradiance: false, shaded: false, antialiasing: 1, verify: None };
+    let request = Request { size: SIZE, irradiance: false, shaded: None, antialiasing: 1, verify: None };
     let image =
         |technique: &dyn Technique| render(scene, camera, technique, &request, &Progress::default()).expect("renders");
     let truth = image(&Exact);

@@ -101,7 +101,7 @@ fn a_light_without_size_is_one_sample() {
 
 /// A procedural scene's view through a technique, with what it should be: V and the truth, a pair a receiver.
 fn against_truth(procedural: &Procedural, technique: &dyn Technique, truth: &Procedural, size: u32) -> Vec<(f64, f64)> {
-    let request = Request { size: [size, size], irradiance: false, shaded: false, antialiasing: 1, verify: None };
+    let request = Request { size: [size, size], irradiance: false, shaded: None, antialiasing: 1, verify: None };
     let scene = &procedural.scene;
     let rendering = render(scene, &scene.cameras[0], technique, &request, &Progress::default()).expect("renders");
     let truth = truth.truth.as_ref().expect("has a truth");
@@ -645,7 +645,7 @@ fn judge_hard(what: &str, scene: &Scene, receivers: &Receivers, map_size: u32) -
 
 /// The receivers of a scene's first camera, those of one instance alone.
 fn seen_on(scene: &Scene, instance: u32, size: u32) -> Receivers {
-    let request = Request { size: [size, size], irradiance: false, shaded: false, antialiasing: 1, verify: None };
+    let request = Request { size: [size, size], irradiance: false, shaded: None, antialiasing: 1, verify: None };
     let rendering =
         render(scene, &scene.cameras[0], &rays(Pattern::Grid, 1), &request, &Progress::default()).expect("renders");
     let mut found = rendering.receivers;
@@ -691,9 +691,8 @@ fn hard_shadows_of_cut_outs_have_their_holes() {
         penumbra::scene::Texture { size: [4, 4], texels, nearest: true, ..penumbra::scene::Texture::default() };
     scene.materials.push(penumbra::scene::Material {
         name: "checks".into(),
-        base_color: glam::Vec3::ONE,
-        base_color_texture: None,
         cutout: Some(penumbra::scene::Cutout { cutoff: 0.5, factor: 1.0, texture: Some(std::sync::Arc::new(texture)) }),
+        ..penumbra::scene::Material::default()
     });
     let mut random = Random(74);
     let points: Vec<DVec3> =

@@ -45,7 +45,7 @@ fn cube(center: [f32; 3], half: f32) -> Vec<[[f32; 3]; 3]> {
 /// The key light of a procedural scene's view.
 fn view(scene: &str, technique: &dyn Technique, size: u32) -> LightImage {
     let procedural = procedural::build(scene).expect("builds");
-    let request = Request { size: [size; 2], irradiance: false, shaded: false, antialiasing: 1, verify: None };
+    let request = Request { size: [size; 2], irradiance: false, shaded: None, antialiasing: 1, verify: None };
     let camera = &procedural.scene.cameras[0];
     render(&procedural.scene, camera, technique, &request, &Progress::default()).expect("renders").lights.swap_remove(0)
 }

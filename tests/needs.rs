@@ -34,7 +34,7 @@ fn counters_of(scene: &Scene) -> Counters {
         scene_from_camera: DAffine3::from_translation(-scene.origin_world) * scene.cameras[0].scene_from_camera,
         ..scene.cameras[0].clone()
     };
-    let request = Request { size: [32, 32], irradiance: false, shaded: false, antialiasing: 1, verify: None };
+    let request = Request { size: [32, 32], irradiance: false, shaded: None, antialiasing: 1, verify: None };
     render(scene, &camera, &rays(Pattern::Grid, 16), &request, &Progress::default()).expect("renders").counters
 }
 
@@ -90,7 +90,7 @@ fn excluded_casters_do_not_block_and_excluded_receivers_are_not_lit() {
         scene_from_camera: DAffine3::from_translation(-scene.origin_world) * scene.cameras[0].scene_from_camera,
         ..scene.cameras[0].clone()
     };
-    let request = Request { size: [8, 8], irradiance: true, shaded: false, antialiasing: 1, verify: None };
+    let request = Request { size: [8, 8], irradiance: true, shaded: None, antialiasing: 1, verify: None };
     let found = render(&scene, &camera, &rays(Pattern::Grid, 16), &request, &Progress::default()).expect("renders");
     assert!(found.lights[0].visibility.iter().all(|&v| v == 1.0));
     assert!(found.lights[1].facing.iter().all(|&facing| !facing));

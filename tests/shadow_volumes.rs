@@ -9,7 +9,7 @@ use std::f64::consts::PI;
 
 use common::*;
 use drawn::{CONTEXT, draw, draw_receivers, drawn, technique};
-use glam::{DAffine3, DVec2, DVec3, Vec3};
+use glam::{DAffine3, DVec2, DVec3};
 use penumbra::closed_forms::{disk_edge_fraction, occluder_image};
 use penumbra::gpu::Gpu;
 use penumbra::progress::Progress;
@@ -297,7 +297,7 @@ fn cut_outs_are_refused_in_one_line_where_they_can_block() {
     leaf.material = Some(0);
     let cutout = Some(Cutout { cutoff: 0.5, factor: 1.0, texture: None });
     let mut scene = scene(vec![leaf, floor()], vec![square_light(0.5, 5.0)]);
-    scene.materials.push(Material { name: "leaf".into(), base_color: Vec3::ONE, base_color_texture: None, cutout });
+    scene.materials.push(Material { name: "leaf".into(), cutout, ..Material::default() });
     let places = || receivers(&scene, &line(-1.0, 1.0, 9), DVec3::Y);
     let refused = render_receivers(&scene, places(), volumes("").as_ref(), false, &Progress::default());
     let message = refused.expect_err("it has no edges").to_string();
@@ -383,7 +383,7 @@ fn a_shift_by_instances_changes_no_more_than_roundings() {
 fn two_runs_have_the_same_bits() {
     let run = || {
         let procedural = procedural::build("demo").expect("builds");
-        let request = Request { size: [64, 48], irradiance: false, shaded: false, antialiasing: 1, verify: None };
+        let request = Request { size: [64, 48], irradiance: false, shaded: None, antialiasing: 1, verify: None };
         let camera = &procedural.scene.cameras[0];
         render(&procedural.scene, camera, volumes("").as_ref(), &request, &Progress::default()).expect("renders").lights
     };
@@ -476,7 +476,7 @@ fn view(scene: &str, technique: &dyn Technique) -> Vec<f32> {
     let procedural = procedural::build(scene).expect("builds");
     let mut scene: Scene = procedural.scene;
     scene.lights.truncate(1);
-    let request = Request { size: [48; 2], irradiance: false, shaded: false, antialiasing: 1, verify: None };
+    let request = Request { size: [48; 2], irradiance: false, shaded: None, antialiasing: 1, verify: None };
     let camera = scene.cameras[0].clone();
     render(&scene, &camera, technique, &request, &Progress::default())
         .expect("renders")

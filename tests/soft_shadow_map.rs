@@ -89,7 +89,7 @@ fn a_planar_occluder_is_off_by_its_patches_alone() {
             ("map_size=256 patches=32", view(256.0, 32.0)),
             ("map_size=64 patches=16 sides=front", view(64.0, 16.0)),
         ] {
-            let request = Request { size: [40, 40], irradiance: false, shaded: false, antialiasing: 1, verify: None };
+            let request = Request { size: [40, 40], irradiance: false, shaded: None, antialiasing: 1, verify: None };
             let scene = &procedural.scene;
             let technique = made(settings);
             let rendering =
@@ -186,7 +186,7 @@ fn both_sides_of_a_flat_square_are_one() {
 #[test]
 fn a_box_is_nearer_the_truth_with_both_its_sides() {
     let contact = build("contact").expect("builds").scene;
-    let request = Request { size: [48, 36], irradiance: false, shaded: false, antialiasing: 1, verify: None };
+    let request = Request { size: [48, 36], irradiance: false, shaded: None, antialiasing: 1, verify: None };
     for mode in ["self_shadowing=false map_size=64", "map_size=256"] {
         let [front, both] = ["front", "both"].map(|sides| {
             let technique = made(&format!("{mode} sides={sides}"));

@@ -24,7 +24,7 @@ use penumbra::techniques::{Context, Entry, LightImage, Technique, parse_settings
 const SIZE: [u32; 2] = [48, 36];
 
 fn request(size: [u32; 2]) -> Request {
-    Request { size, irradiance: false, shaded: false, antialiasing: 1, verify: None }
+    Request { size, irradiance: false, shaded: None, antialiasing: 1, verify: None }
 }
 
 fn temporal(settings: &str) -> Box<dyn Technique> {

@@ -11,7 +11,7 @@ use penumbra::scene::procedural::{Procedural, build};
 
 fn tilt(query: &str, size: [u32; 2]) -> (Procedural, Rendering) {
     let procedural = build(&format!("procedural:tilt?{query}")).expect("builds");
-    let request = Request { size, irradiance: false, shaded: false, antialiasing: 1, verify: None };
+    let request = Request { size, irradiance: false, shaded: None, antialiasing: 1, verify: None };
     let scene = &procedural.scene;
     let technique = rays(Pattern::Grid, 64);
     let rendering = render(scene, &scene.cameras[0], &technique, &request, &Progress::default()).expect("renders");

@@ -54,7 +54,7 @@ static POPULATIONS: LazyLock<Vec<Population>> = LazyLock::new(|| {
     for spec in SCENES {
         let scene = build(spec).expect("builds").scene;
         let view = |rays: &Rays| -> Rendering {
-            let request = Request { size: [160, 120], irradiance: false, shaded: false, antialiasing: 1, verify: None };
+            let request = Request { size: [160, 120], irradiance: false, shaded: None, antialiasing: 1, verify: None };
             render(&scene, &scene.cameras[0], rays, &request, &Progress::default()).expect("renders")
         };
         let renderings = SETTINGS.map(|(pattern, samples)| view(&rays(pattern, samples)));

@@ -15,6 +15,12 @@ const GAP_SCALE: f32 = 0x1p14;
 /// Taps of the filter.
 const TAPS: u32 = 16u;
 
+/// Where a tap is in a cell, from -1 to 1 along each side: a lattice of which each row and each column has one tap, for an edge along
+/// a side of the light passes them row by row. It is symmetric about the middle.
+fn tap_at(i: u32) -> vec2<f32> {
+    return 2.0 * fract((f32(i) * vec2(1.0, 5.0) + vec2(0.5, 2.5)) / f32(TAPS)) - 1.0;
+}
+
 /// Notes how far a receiver's blockers are before it: their gaps added up, and how many they are.
 fn note_gap(tile: u32, found: vec2<f32>) {
     if (found.y > 0.0) {
@@ -50,20 +56,19 @@ fn smooth_over(receiver: Receiver, gap: f32, cell: vec2<f32>, most_apart: f32) -
     let own = shown[receiver.number];
     let own_px = middle_px(receiver.number);
     let slope = slope_of(receiver.normal, own_px);
-    let sampler = sampler_of(0u, vec2(4u, 4u), 0u, 0u);
     var sum = vec2(0.0);
     var used = 0.0;
     for (var i = 0u; i < TAPS; i++) {
-        let square = unit_square(sampler, i);
-        let uv = cell * select(2.0 * square - 1.0, disk_from_square(square), emitter.domain == 1u);
+        let tap = tap_at(i);
+        let uv = cell * select(tap, disk_from_square(0.5 * tap + 0.5), emitter.domain == 1u);
         let shift_px = shadow_shift_px(receiver.position, receiver.normal, own.z, own_px, gap, uv);
         let pixel = pixel_at(own_px + shift_px);
         if (!is_on_screen(pixel)) {
             continue;
         }
-        let tap = shown[u32(pixel.y) * screen.size.x + u32(pixel.x)];
-        if (abs(tap.x - own.x) <= most_apart && is_same_surface(tap, pixel, receiver, own.z, own_px, slope)) {
-            sum += tap.xy;
+        let seen = shown[u32(pixel.y) * screen.size.x + u32(pixel.x)];
+        if (abs(seen.x - own.x) <= most_apart && is_same_surface(seen, pixel, receiver, own.z, own_px, slope)) {
+            sum += seen.xy;
             used += 1.0;
         }
     }

@@ -116,12 +116,17 @@ fn look_up(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_in
         return;
     }
     let id = tile.x + place;
+    let receiver = receivers[id];
+    var gaps = vec2(0.0);
     for (var i = 0u; i < job.count; i++) {
         if (extractBits(tile.z, i, 1u) == 1u) {
-            let found = looked_up(points[job.first + i], receivers[id]);
+            let found = looked_up(points[job.first + i], receiver);
             keep(job.number + i, id, found.unblocked);
-            note_blockers(id, found);
+            gaps += found.gaps;
         }
+    }
+    if (filters) {
+        blockers[id] += gaps;
     }
 }
 

@@ -58,7 +58,7 @@ impl Run {
 
 /// What is asked of every technique.
 pub(super) fn request(size: [u32; 2]) -> Request {
-    Request { size, irradiance: false, shaded: false, antialiasing: 1, verify: None }
+    Request { size, irradiance: false, shaded: None, antialiasing: 1, verify: None }
 }
 
 impl Subject {

@@ -464,7 +464,7 @@ impl<'a> Poses<'a> {
 }
 
 /// Visibility needs no colours.
-const LOAD: LoadOptions = LoadOptions { base_color_textures: false };
+const LOAD: LoadOptions = LoadOptions { base_color_textures: false, highlights: false };
 
 /// A suite's text, for messages that name the line.
 struct Source<'a> {

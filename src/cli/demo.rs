@@ -17,6 +17,7 @@ use crate::progress::Progress;
 use crate::reference::exact::Exact;
 use crate::render::{Rendering, Request, render};
 use crate::scene::{Camera, Scene, procedural};
+use crate::shading::Shading;
 use crate::techniques::{ALL, Context, Entry, Needs, Technique, parse_settings};
 use crate::{Error, Result};
 
@@ -122,8 +123,13 @@ fn run_one(
     quantity: Quantity,
     antialiasing: u32,
 ) -> Result<Image> {
-    let request =
-        Request { size: PANEL, irradiance: false, shaded: quantity == Quantity::Shaded, antialiasing, verify: None };
+    let request = Request {
+        size: PANEL,
+        irradiance: false,
+        shaded: (quantity == Quantity::Shaded).then_some(Shading::Lambert),
+        antialiasing,
+        verify: None,
+    };
     let mut rendering: Rendering = with_bar(label, progress, || render(scene, camera, technique, &request, progress))?;
     let origin = Origin { technique: label, parameters: Value::Null };
     Ok(image_of(scene, &mut rendering, &origin, quantity, &[Aov::Position]))

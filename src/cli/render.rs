@@ -15,6 +15,7 @@ use crate::output;
 use crate::progress::{Progress, ms_since};
 use crate::render::{self, Request};
 use crate::scene::LoadOptions;
+use crate::shading::Shading;
 use crate::techniques::{BEST, Context, Entry, Needs, Parameters, parse_setting};
 use crate::{Error, Result};
 
@@ -83,6 +84,9 @@ pub struct ImageOptions {
     /// What the image shows
     #[arg(long, value_enum, default_value_t = Quantity::Visibility)]
     pub quantity: Quantity,
+    /// How surfaces reflect in a shaded image
+    #[arg(long, value_enum, default_value_t = Shading::Lambert)]
+    pub shading: Shading,
     /// N×N receivers a pixel for irradiance and shaded; visibility is always that of pixel centres
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..=16))]
     pub aa: u32,
@@ -110,7 +114,7 @@ impl ImageOptions {
         Request {
             size,
             irradiance: self.quantity == Quantity::Irradiance,
-            shaded: self.quantity == Quantity::Shaded,
+            shaded: (self.quantity == Quantity::Shaded).then_some(self.shading),
             antialiasing: self.aa,
             verify: None,
         }
@@ -118,7 +122,10 @@ impl ImageOptions {
 
     /// What this asks of the loader.
     pub fn load_options(&self) -> LoadOptions {
-        LoadOptions { base_color_textures: self.quantity == Quantity::Shaded }
+        LoadOptions {
+            base_color_textures: self.quantity == Quantity::Shaded,
+            highlights: self.shading == Shading::Phong,
+        }
     }
 
     /// Refuses what can't be written, before anything is computed.
@@ -135,6 +142,9 @@ impl ImageOptions {
         }
         if self.aa > 1 && self.quantity == Quantity::Visibility {
             return Err(Error::usage("--aa", "visibility is always that of pixel centres; use irradiance or shaded"));
+        }
+        if self.shading != Shading::Lambert && self.quantity != Quantity::Shaded {
+            return Err(Error::usage("--shading", "only a shaded image has it; use --quantity shaded"));
         }
         output::check(&self.output).map(|_| ())
     }

@@ -28,7 +28,7 @@ pub enum Quantity {
     Visibility,
     /// W/m² on the surface
     Irradiance,
-    /// Lambertian surfaces with their base colour
+    /// Surfaces with their base colour, lit by all lights
     Shaded,
 }
 

@@ -229,12 +229,7 @@ mod tests {
             let mut scene = build("square").expect("builds").scene;
             let texture = Texture { size: [1, 1], texels: vec![[200]], ..Texture::default() };
             let cutout = Cutout { cutoff: 0.5, factor: 1.0, texture: Some(Arc::new(texture)) };
-            scene.materials = vec![Material {
-                name: String::new(),
-                base_color: Vec3::ONE,
-                base_color_texture: None,
-                cutout: Some(cutout),
-            }];
+            scene.materials = vec![Material { cutout: Some(cutout), ..Material::default() }];
             for mesh in &mut scene.meshes {
                 mesh.material = Some(0);
                 mesh.uvs = Some(vec![Vec2::ZERO; mesh.positions.len()].into());

@@ -74,7 +74,7 @@ pub struct Mesh {
     pub material: Option<usize>,
 }
 
-/// What a surface looks like, as far as a Lambertian shading and cut-out shadows need it.
+/// What a surface looks like, as far as shading and cut-out shadows need it.
 #[derive(Debug, Clone)]
 pub struct Material {
     /// Name for messages.
@@ -83,8 +83,26 @@ pub struct Material {
     pub base_color: Vec3,
     /// Multiplies `base_color`; loaded only when asked for ([`LoadOptions::base_color_textures`]).
     pub base_color_texture: Option<Arc<Texture<3>>>,
+    /// 0 for plastic to 1 for metal; Phong's shading alone reads it.
+    pub metallic: f32,
+    /// 0 for a mirror to 1, as glTF has it; Phong's shading alone reads it.
+    pub roughness: f32,
     /// `alphaMode: MASK`: where alpha is below the cut-off there is no surface.
     pub cutout: Option<Cutout>,
+}
+
+impl Default for Material {
+    /// White and rough, without holes.
+    fn default() -> Self {
+        Self {
+            name: String::new(),
+            base_color: Vec3::ONE,
+            base_color_texture: None,
+            metallic: 0.0,
+            roughness: 1.0,
+            cutout: None,
+        }
+    }
 }
 
 /// A cut-out: `factor · texture.alpha < cutoff` is a hole.
@@ -157,6 +175,8 @@ pub struct Bounds {
 pub struct LoadOptions {
     /// Decode base-colour textures (needed for shaded images alone; alpha of cut-outs is always decoded).
     pub base_color_textures: bool,
+    /// Warn of textures of metalness and roughness, which are not read (Phong's shading alone needs them).
+    pub highlights: bool,
 }
 
 impl Bounds {

@@ -738,12 +738,15 @@ impl<'a> Work<'a> {
     ) -> Result<()> {
         let gpu = self.view.gpu;
         let uniform = self.uniform(job)?;
+        let all = (1 << job.count) - 1;
         let bits = |tile: u32| match needed {
-            None => (1 << job.count) - 1,
+            None => all,
             Some(needed) => (0..).zip(needed).map(|(i, needed)| u32::from(needed.contains(&tile)) << i).sum(),
         };
         for known in self.known.iter().filter(|_| self.parameters.keeps_bytes()) {
-            if needed.is_some() {
+            let of_tile = |(tile, range): &(u32, Range<u32>)| [range.start, range.len() as u32, bits(*tile), 0];
+            let mut tiles: Vec<[u32; 4]> = known.chunk.tiles.iter().map(of_tile).collect();
+            if tiles.iter().any(|[.., bits, _]| *bits != all) {
                 frame
                     .compute("look-ups", &self.pipeline("inherit"))
                     .bind("receivers", &known.chunk.buffer)
@@ -751,9 +754,7 @@ impl<'a> Work<'a> {
                     .bind("job", &uniform)
                     .dispatch(groups(known.chunk));
             }
-            let of_tile = |(tile, range): &(u32, Range<u32>)| [range.start, range.len() as u32, bits(*tile), 0];
-            let tiles: Vec<[u32; 4]> =
-                known.chunk.tiles.iter().map(of_tile).filter(|[.., bits, _]| *bits > 0).collect();
+            tiles.retain(|[.., bits, _]| *bits > 0);
             let most = gpu.device.limits().max_compute_workgroups_per_dimension / GROUPS_A_TILE;
             for tiles in tiles.chunks(most as usize) {
                 let buffer = gpu.buffer("needed", tiles, wgpu::BufferUsages::STORAGE)?;

@@ -120,7 +120,8 @@ impl File {
 
 /// Loads from memory, with base-colour textures.
 pub fn load(bytes: &[u8]) -> Result<Scene, String> {
-    gltf::load_slice(bytes, None, "test", LoadOptions { base_color_textures: true }).map_err(|error| error.to_string())
+    gltf::load_slice(bytes, None, "test", LoadOptions { base_color_textures: true, highlights: true })
+        .map_err(|error| error.to_string())
 }
 
 /// Numbers as little-endian bytes.

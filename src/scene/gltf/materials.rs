@@ -125,6 +125,12 @@ fn describe(
     if !factor.iter().all(|c| c.is_finite()) {
         return Err(fault(place("pbrMetallicRoughness.baseColorFactor"), "expected finite numbers"));
     }
+    if ![pbr.metallic_factor, pbr.roughness_factor].iter().all(|factor| factor.0.is_finite()) {
+        return Err(fault(place("pbrMetallicRoughness"), "expected a finite metallicFactor and roughnessFactor"));
+    }
+    if options.highlights && used && pbr.metallic_roughness_texture.is_some() {
+        warnings.add("textures of metalness and roughness are left out", &name);
+    }
     let Checked::Valid(alpha_mode) = json.alpha_mode else {
         return Err(fault(place("alphaMode"), "expected OPAQUE, MASK or BLEND"));
     };
@@ -160,6 +166,8 @@ fn describe(
             name,
             base_color: Vec3::from_slice(&factor[..3]).clamp(Vec3::ZERO, Vec3::ONE),
             base_color_texture: None,
+            metallic: pbr.metallic_factor.0.clamp(0.0, 1.0),
+            roughness: pbr.roughness_factor.0.clamp(0.0, 1.0),
             cutout,
         },
         tex_coords,

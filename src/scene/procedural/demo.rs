@@ -14,16 +14,16 @@ use crate::scene::Material;
 use crate::scene::camera::look_at;
 use crate::scene::light::{AreaLight, Emission, Shape};
 
-/// Name and linear base colour; the place in the list is the material's index.
-const MATERIALS: [(&str, Vec3); 8] = [
-    ("plaster", Vec3::new(0.78, 0.72, 0.64)),
-    ("cedar", Vec3::new(0.50, 0.27, 0.13)),
-    ("limestone", Vec3::new(0.66, 0.61, 0.53)),
-    ("porcelain", Vec3::new(0.86, 0.83, 0.77)),
-    ("bronze", Vec3::new(0.24, 0.17, 0.11)),
-    ("terracotta", Vec3::new(0.62, 0.24, 0.12)),
-    ("leaf", Vec3::new(0.20, 0.33, 0.10)),
-    ("ochre", Vec3::new(0.72, 0.45, 0.14)),
+/// Name, linear base colour and roughness; the place in the list is the material's index.
+const MATERIALS: [(&str, Vec3, f32); 8] = [
+    ("plaster", Vec3::new(0.78, 0.72, 0.64), 0.9),
+    ("cedar", Vec3::new(0.50, 0.27, 0.13), 0.5),
+    ("limestone", Vec3::new(0.66, 0.61, 0.53), 0.8),
+    ("porcelain", Vec3::new(0.86, 0.83, 0.77), 0.2),
+    ("bronze", Vec3::new(0.24, 0.17, 0.11), 0.3),
+    ("terracotta", Vec3::new(0.62, 0.24, 0.12), 0.7),
+    ("leaf", Vec3::new(0.20, 0.33, 0.10), 0.5),
+    ("ochre", Vec3::new(0.72, 0.45, 0.14), 0.4),
 ];
 const PLASTER: usize = 0;
 const CEDAR: usize = 1;
@@ -63,7 +63,12 @@ pub(super) fn build(values: &Values) -> Result<Draft> {
 
     let materials = MATERIALS
         .iter()
-        .map(|&(name, base_color)| Material { name: name.into(), base_color, base_color_texture: None, cutout: None })
+        .map(|&(name, base_color, roughness)| Material {
+            name: name.into(),
+            base_color,
+            roughness,
+            ..Material::default()
+        })
         .collect();
     let key = Shape::Rect { size: DVec2::splat(side) };
     let rim = Shape::Disk { size: DVec2::splat(RIM_DIAMETER) };

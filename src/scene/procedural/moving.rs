@@ -14,14 +14,14 @@ use crate::scene::Material;
 use crate::scene::camera::look_at;
 use crate::scene::light::Shape;
 
-/// Name and linear base colour; the place in the list is the material's index.
-const MATERIALS: [(&str, Vec3); 6] = [
-    ("plaster", Vec3::new(0.74, 0.71, 0.66)),
-    ("cedar", Vec3::new(0.50, 0.27, 0.13)),
-    ("limestone", Vec3::new(0.66, 0.61, 0.53)),
-    ("porcelain", Vec3::new(0.86, 0.83, 0.77)),
-    ("ochre", Vec3::new(0.72, 0.45, 0.14)),
-    ("slate", Vec3::new(0.30, 0.38, 0.44)),
+/// Name, linear base colour and roughness; the place in the list is the material's index.
+const MATERIALS: [(&str, Vec3, f32); 6] = [
+    ("plaster", Vec3::new(0.74, 0.71, 0.66), 0.9),
+    ("cedar", Vec3::new(0.50, 0.27, 0.13), 0.5),
+    ("limestone", Vec3::new(0.66, 0.61, 0.53), 0.8),
+    ("porcelain", Vec3::new(0.86, 0.83, 0.77), 0.2),
+    ("ochre", Vec3::new(0.72, 0.45, 0.14), 0.4),
+    ("slate", Vec3::new(0.30, 0.38, 0.44), 0.5),
 ];
 const PLASTER: usize = 0;
 const CEDAR: usize = 1;
@@ -75,7 +75,12 @@ pub(super) fn build(values: &Values) -> Result<Draft> {
     ];
     let materials = MATERIALS
         .iter()
-        .map(|&(name, base_color)| Material { name: name.into(), base_color, base_color_texture: None, cutout: None })
+        .map(|&(name, base_color, roughness)| Material {
+            name: name.into(),
+            base_color,
+            roughness,
+            ..Material::default()
+        })
         .collect();
     let key = light("Key", Shape::Rect { size }, size.x * size.y, KEY_AT, KEY_TARGET, DVec3::new(0.95, 0.88, 0.78));
     let camera = view_camera(eye(0.0), target(0.0));
