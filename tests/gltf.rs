@@ -945,7 +945,8 @@ fn every_shared_scene_loads_or_fails_with_its_one_line() {
     found.sort();
     assert_eq!(found, table.keys().cloned().collect::<Vec<_>>(), "every file is in the table");
     for (path, expected) in table {
-        let result = gltf::load(&folder.join(&path), LoadOptions { base_color_textures: true, ..LoadOptions::default() });
+        let result =
+            gltf::load(&folder.join(&path), LoadOptions { base_color_textures: true, ..LoadOptions::default() });
         match (result, expected) {
             (Ok(scene), Ok((triangles, instances, lights, warnings))) => {
                 assert_eq!((scene.triangle_count(), scene.instances.len()), (triangles, instances), "{path}");

@@ -12,7 +12,7 @@
 /// By point and receiver: where along the light's normal what the point sees there is, from the origin.
 @group(0) @binding(14) var<storage, read_write> depths: array<f32>;
 @group(0) @binding(6) var<uniform> job: Job;
-/// Tiles that need some of the job's points: their first receiver, how many they have, and a bit for each point needed.
+/// Tiles to work on: their first receiver, how many they have, and a bit for each of the job's points that they need.
 @group(0) @binding(8) var<storage, read> needed: array<vec4<u32>>;
 /// By cell, pair of its corners, and tile: how much they differ.
 @group(0) @binding(9) var<storage, read_write> differences: array<atomic<u32>>;
@@ -27,6 +27,8 @@
 @group(0) @binding(16) var<storage, read_write> blockers: array<vec2<f32>>;
 /// By tile: the side of the cells that the light is divided in for it, as a fraction of its own.
 @group(0) @binding(20) var<storage, read> sides: array<f32>;
+/// Of all points.
+@group(0) @binding(21) var<storage, read> places: array<Place>;
 /// Of each receiver: V and E/E₀ smoothed.
 @group(0) @binding(18) var<storage, read_write> smoothed: array<vec2<f32>>;
 
@@ -44,7 +46,8 @@ struct Job {
     tiles: u32,
     /// Of the cell to compare, among those compared.
     cell: u32,
-    padding: u32,
+    /// 1: the light is at infinity.
+    distant: u32,
     /// Points whose bytes stand for those that are not looked up, or SEEN_WHOLE; or those to compare: the first with the last, and
     /// the others.
     others: vec4<u32>,
@@ -52,10 +55,15 @@ struct Job {
     normal: vec3<f32>,
     /// From a place's depth from the origin to that from the light.
     depth_offset: f32,
-    /// What the points to add count; or the weight of all points, and whether the light's axes u and v are divided.
+    /// The weight of all points, and whether the light's axes u and v are divided.
     counts: vec4<f32>,
-    /// Where they are, a column each: relative to the origin, directions of a distant light with 1 in w.
-    points: mat4x4<f32>,
+}
+
+/// A point of the light: where it is, relative to the origin (its direction from a distant light), and what it counts. Twin of `Place`
+/// in `techniques/adaptive.rs`.
+struct Place {
+    position: vec3<f32>,
+    weight: f32,
 }
 
 /// Whether the mean blocker is kept.
@@ -91,35 +99,45 @@ fn note_blockers(id: u32, found: LookedUp) {
 /// No point stands for one: what does not look it up sees it whole. Twin of `SEEN_WHOLE` in `techniques/adaptive.rs`.
 const SEEN_WHOLE: u32 = 0xffffffffu;
 
-/// Takes the job's points for what others are to all receivers: those are looked up that need to be.
+/// No receiver of a tile.
+const NO_RECEIVER: u32 = 0xffffffffu;
+
+/// The receiver that an invocation stands for, where four workgroups each work on a tile.
+fn receiver_in_tile(group: u32, lane: u32) -> u32 {
+    let tile = needed[group / 4u];
+    let place = group % 4u * 64u + lane;
+    return select(NO_RECEIVER, tile.x + place, place < tile.y);
+}
+
+/// Takes the job's points for what others are to the tiles' receivers: those are looked up that need to be.
 @compute @workgroup_size(64)
-fn inherit(@builtin(global_invocation_id) id: vec3<u32>) {
-    if (id.x >= arrayLength(&receivers)) {
+fn inherit(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
+    let id = receiver_in_tile(group.x, lane);
+    if (id == NO_RECEIVER) {
         return;
     }
     for (var i = 0u; i < job.count; i++) {
         let other = job.others[i];
         var found = kernel * kernel;
         if (other != SEEN_WHOLE) {
-            found = kept(other, id.x);
+            found = kept(other, id);
         }
-        keep(job.number + i, id.x, found);
+        keep(job.number + i, id, found);
     }
 }
 
-/// Looks the job's points up in the tiles that need them: four workgroups each.
+/// Looks the job's points up in the tiles that need them.
 @compute @workgroup_size(64)
 fn look_up(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
-    let tile = needed[group.x / 4u];
-    let place = group.x % 4u * 64u + lane;
-    if (place >= tile.y) {
+    let id = receiver_in_tile(group.x, lane);
+    if (id == NO_RECEIVER) {
         return;
     }
-    let id = tile.x + place;
+    let wanted = needed[group.x / 4u].z;
     let receiver = receivers[id];
     var gaps = vec2(0.0);
     for (var i = 0u; i < job.count; i++) {
-        if (extractBits(tile.z, i, 1u) == 1u) {
+        if (extractBits(wanted, i, 1u) == 1u) {
             let found = looked_up(points[job.first + i], receiver);
             keep(job.number + i, id, found.unblocked);
             gaps += found.gaps;
@@ -190,43 +208,53 @@ fn of_point(light_point: LightPoint, id: u32, weight: f32) -> vec4<f32> {
     return vec4(share * all, all);
 }
 
-/// Adds up the job's points from their bytes.
+/// Lets all receivers see the light whole: those that nothing can shadow do.
 @compute @workgroup_size(64)
-fn sum(@builtin(global_invocation_id) id: vec3<u32>) {
-    if (id.x >= arrayLength(&receivers)) {
+fn light_up(@builtin(global_invocation_id) id: vec3<u32>) {
+    if (id.x < arrayLength(&receivers)) {
+        sums[id.x] = vec4(job.counts.x, 0.0, job.counts.x, 0.0);
+    }
+}
+
+/// Adds up the points from their bytes, for the tiles' receivers.
+@compute @workgroup_size(64)
+fn sum(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
+    let id = receiver_in_tile(group.x, lane);
+    if (id == NO_RECEIVER) {
         return;
     }
-    let receiver = receivers[id.x];
-    var sum = sums[id.x];
-    for (var i = 0u; i < job.count; i++) {
-        let place = job.points[i];
-        let to = select(place.xyz - receiver.position, place.xyz, place.w == 1.0);
+    let receiver = receivers[id];
+    var sum = vec4(0.0);
+    for (var i = 0u; i < arrayLength(&places); i++) {
+        let place = places[i];
+        let to = select(place.position - receiver.position, place.position, job.distant == 1u);
         if (dot(receiver.normal, to) <= 0.0) {
             continue;
         }
-        let all = weighed(receiver, job.normal, to, job.counts[i]);
-        let share = f32(kept(job.number + i, id.x)) / f32(kernel * kernel);
+        let all = weighed(receiver, job.normal, to, place.weight);
+        let share = f32(kept(i, id)) / f32(kernel * kernel);
         sum += vec4(share * all, all);
     }
-    sums[id.x] = sum;
+    sums[id] = sum;
 }
 
 /// Counts, tile by tile, how much of a receiver some point of a cell or around it sees and another does not.
 @compute @workgroup_size(64)
-fn compare_visibility(@builtin(global_invocation_id) id: vec3<u32>) {
-    if (id.x >= arrayLength(&receivers)) {
+fn compare_visibility(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
+    let id = receiver_in_tile(group.x, lane);
+    if (id == NO_RECEIVER) {
         return;
     }
-    var most = kept(job.number, id.x);
+    var most = kept(job.number, id);
     var least = most;
     for (var i = 0u; i < 4u; i++) {
-        let seen = kept(job.others[i], id.x);
+        let seen = kept(job.others[i], id);
         most = max(most, seen);
         least = min(least, seen);
     }
     let spread = most - least;
     if (spread > 0u) {
-        atomicAdd(&differences[2u * job.cell * job.tiles + tile_of(receivers[id.x].number)], spread);
+        atomicAdd(&differences[2u * job.cell * job.tiles + tile_of(receivers[id].number)], spread);
     }
 }
 

@@ -22,7 +22,7 @@ use std::collections::BTreeSet;
 use std::ops::Range;
 use std::sync::Arc;
 
-use glam::{DVec2, DVec3, Mat4, Vec3, Vec4};
+use glam::{DVec2, DVec3, Vec3, Vec4};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
@@ -209,12 +209,19 @@ gpu_struct! {
         pub tile_columns: u32,
         pub tiles: u32,
         pub cell: u32,
-        pub padding: u32,
+        pub distant: u32,
         pub others: [u32; 4],
         pub normal: Vec3,
         pub depth_offset: f32,
         pub counts: Vec4,
-        pub points: Mat4,
+    }
+}
+
+gpu_struct! {
+    /// Twin of `Place` in `techniques/adaptive.wgsl`.
+    struct Place {
+        pub position: Vec3,
+        pub weight: f32,
     }
 }
 
@@ -425,10 +432,29 @@ struct Work<'a> {
 /// What is known of a chunk of receivers.
 struct Known<'a> {
     chunk: &'a Chunk,
+    /// Its tiles in which something may hide some of the light.
+    tiles: Vec<TileList>,
     /// Bytes of what each point is to them.
     planes: Planes,
     sums: wgpu::Buffer,
     blockers: wgpu::Buffer,
+}
+
+/// Tiles that are worked on in one dispatch: `array<vec4<u32>>` of their first receivers, how many they have, and bits of points.
+struct TileList {
+    buffer: wgpu::Buffer,
+    /// Workgroups.
+    groups: [u32; 3],
+}
+
+/// Lists of tiles, as long as a dispatch may be.
+fn tile_lists(gpu: &Gpu, tiles: &[[u32; 4]]) -> Result<Vec<TileList>> {
+    let most = gpu.device.limits().max_compute_workgroups_per_dimension / GROUPS_A_TILE;
+    let list = |tiles: &[[u32; 4]]| {
+        let buffer = gpu.buffer("needed", tiles, wgpu::BufferUsages::STORAGE)?;
+        Ok(TileList { buffer, groups: [GROUPS_A_TILE * tiles.len() as u32, 1, 1] })
+    };
+    tiles.chunks(most as usize).map(list).collect()
 }
 
 /// A buffer of planes that grows as points are added: a value a receiver in each.
@@ -472,7 +498,7 @@ impl<'a> Work<'a> {
             let of_bytes =
                 |label, bytes| gpu.empty_buffer(label, bytes * chunk.pixels.len() as u64, wgpu::BufferUsages::STORAGE);
             let (sums, blockers) = (of_bytes("sums", 16)?, of_bytes("blockers", 8)?);
-            Ok(Known { chunk, planes: Planes::new(gpu, chunk.pixels.len())?, sums, blockers })
+            Ok(Known { chunk, tiles: Vec::new(), planes: Planes::new(gpu, chunk.pixels.len())?, sums, blockers })
         };
         let mut work = Self {
             parameters,
@@ -493,8 +519,15 @@ impl<'a> Work<'a> {
             shadow_maps: 0,
             passes: Vec::new(),
         };
-        if work.skips() {
+        let skips = work.skips();
+        if skips {
             work.shadowed = view.shadowed_tiles(frame, light);
+        }
+        for known in &mut work.known {
+            let is_worked_on = |(tile, _): &&(u32, Range<u32>)| !skips || work.shadowed.contains(tile);
+            let of_tile = |(_, range): &(u32, Range<u32>)| [range.start, range.len() as u32, 0, 0];
+            let tiles: Vec<[u32; 4]> = known.chunk.tiles.iter().filter(is_worked_on).map(of_tile).collect();
+            known.tiles = tile_lists(gpu, &tiles)?;
         }
         work.tile_depths = vec![parameters.min_depth; work.job(frame.receivers.size).tiles as usize];
         if parameters.compare == View::Light {
@@ -578,12 +611,11 @@ impl<'a> Work<'a> {
             tile_columns,
             tiles: tile_columns * height.div_ceil(TILE),
             cell: 0,
-            padding: 0,
+            distant: u32::from(emitter.distant),
             others: [0; 4],
             normal: emitter.normal.as_vec3(),
             depth_offset: -from as f32,
             counts: Vec4::ZERO,
-            points: Mat4::ZERO,
         }
     }
 
@@ -747,21 +779,22 @@ impl<'a> Work<'a> {
             let of_tile = |(tile, range): &(u32, Range<u32>)| [range.start, range.len() as u32, bits(*tile), 0];
             let mut tiles: Vec<[u32; 4]> = known.chunk.tiles.iter().map(of_tile).collect();
             if tiles.iter().any(|[.., bits, _]| *bits != all) {
-                frame
-                    .compute("look-ups", &self.pipeline("inherit"))
-                    .bind("receivers", &known.chunk.buffer)
-                    .bind("planes", &known.planes.buffer)
-                    .bind("job", &uniform)
-                    .dispatch(groups(known.chunk));
+                for tiles in &known.tiles {
+                    frame
+                        .compute("look-ups", &self.pipeline("inherit"))
+                        .bind("planes", &known.planes.buffer)
+                        .bind("receivers", &known.chunk.buffer)
+                        .bind("job", &uniform)
+                        .bind("needed", &tiles.buffer)
+                        .dispatch(tiles.groups);
+                }
             }
             tiles.retain(|[.., bits, _]| *bits > 0);
-            let most = gpu.device.limits().max_compute_workgroups_per_dimension / GROUPS_A_TILE;
-            for tiles in tiles.chunks(most as usize) {
-                let buffer = gpu.buffer("needed", tiles, wgpu::BufferUsages::STORAGE)?;
+            for tiles in tile_lists(gpu, &tiles)? {
                 self.read(frame.compute("look-ups", &self.pipeline("look_up")), known, maps, &uniform)
                     .bind("planes", &known.planes.buffer)
-                    .bind("needed", &buffer)
-                    .dispatch([GROUPS_A_TILE * tiles.len() as u32, 1, 1]);
+                    .bind("needed", &tiles.buffer)
+                    .dispatch(tiles.groups);
             }
         }
         for known in self.known.iter().filter(|_| self.parameters.evaluation == Evaluation::Accumulation) {
@@ -865,16 +898,26 @@ impl<'a> Work<'a> {
                     others: tree.around(cell).map(|point| point as u32),
                     ..job
                 })?;
-                for (at, chunk) in self.compared().1.iter().enumerate() {
-                    let (name, kept) =
-                        if by_visibility { ("planes", &self.known[at].planes) } else { ("depths", &self.depths[at]) };
+                for (chunk, depths) in self.compared().1.iter().zip(&self.depths) {
                     frame
                         .compute("comparison", &pipeline)
                         .bind("receivers", &chunk.buffer)
-                        .bind(name, &kept.buffer)
+                        .bind("depths", &depths.buffer)
                         .bind("job", &uniform)
                         .bind("differences", &differences)
                         .dispatch(groups(chunk));
+                }
+                for known in self.known.iter().filter(|_| by_visibility) {
+                    for tiles in &known.tiles {
+                        frame
+                            .compute("comparison", &pipeline)
+                            .bind("receivers", &known.chunk.buffer)
+                            .bind("planes", &known.planes.buffer)
+                            .bind("job", &uniform)
+                            .bind("needed", &tiles.buffer)
+                            .bind("differences", &differences)
+                            .dispatch(tiles.groups);
+                    }
                 }
             }
             add_passes(&mut self.passes, frame.finish()?);
@@ -913,6 +956,8 @@ impl<'a> Work<'a> {
     fn finish(mut self, tree: &Tree, weights: &[f64]) -> Result<LightImage> {
         let gpu = self.view.gpu;
         let weights: Vec<f32> = weights.iter().map(|&weight| weight as f32).collect();
+        // Added up in the order of the shader, so that what is seen whole comes out as 1.
+        let whole = f64::from(weights.iter().fold(0.0, |sum, weight| sum + weight));
         let mut frame = gpu::pass::Frame::new(gpu);
         match self.parameters.evaluation {
             // All is added up already.
@@ -935,34 +980,35 @@ impl<'a> Work<'a> {
                 }
             }
             Evaluation::Once => {
-                let pipeline = self.pipeline("sum");
-                let distant = f32::from(u8::from(self.view.emitter.distant));
-                for (at, points) in self.points.chunks(IN_WORD).enumerate() {
-                    let number = IN_WORD * at;
-                    let mut job = self.job(self.frame.receivers.size);
-                    (job.number, job.count) = (number as u32, points.len() as u32);
-                    for (i, point) in points.iter().enumerate() {
-                        *job.points.col_mut(i) = point.position.as_vec3().extend(distant);
-                        job.counts[i] = weights[number + i];
-                    }
-                    let uniform = self.uniform(job)?;
-                    for known in &self.known {
+                let place = |(point, &weight): (&MapPoint, &f32)| Place { position: point.position.as_vec3(), weight };
+                let places: Vec<Place> = self.points.iter().zip(&weights).map(place).collect();
+                let places = gpu.buffer("points", &places, wgpu::BufferUsages::STORAGE)?;
+                let counts = Vec4::new(whole as f32, 0.0, 0.0, 0.0);
+                let uniform = self.uniform(Job { counts, ..self.job(self.frame.receivers.size) })?;
+                for known in &self.known {
+                    frame
+                        .compute("visibility", &self.pipeline("light_up"))
+                        .bind("receivers", &known.chunk.buffer)
+                        .bind("job", &uniform)
+                        .bind("sums", &known.sums)
+                        .dispatch(groups(known.chunk));
+                    for tiles in &known.tiles {
                         frame
-                            .compute("visibility", &pipeline)
+                            .compute("visibility", &self.pipeline("sum"))
                             .bind("receivers", &known.chunk.buffer)
                             .bind("planes", &known.planes.buffer)
+                            .bind("places", &places)
+                            .bind("needed", &tiles.buffer)
                             .bind("job", &uniform)
                             .bind("sums", &known.sums)
                             .bind("emission", &self.emission)
-                            .dispatch(groups(known.chunk));
+                            .dispatch(tiles.groups);
                     }
                 }
             }
         }
         add_passes(&mut self.passes, frame.finish()?);
         self.frame.progress.check()?;
-        // Added up in the order of the shader, so that what is seen whole comes out as 1.
-        let whole = f64::from(weights.iter().fold(0.0, |sum, weight| sum + weight));
         let image = match self.frame.shot.filter(|_| self.filters()) {
             None => {
                 let read = |known: &Known| gpu.read_buffer(&known.sums);
