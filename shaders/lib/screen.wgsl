@@ -52,16 +52,39 @@ fn is_on_plane(depth: f32, own_depth: f32, slope: vec2<f32>, away_px: vec2<f32>)
     return abs(depth - expected) <= screen.tolerance.x * expected + screen.tolerance.y;
 }
 
-/// Pixels to where the shadow of a blocker that is `gap` before a receiver goes as a point of the light goes to `uv` from the
-/// light's centre: on the receiver's plane, along the light.
-fn shadow_shift_px(position: vec3<f32>, normal: vec3<f32>, depth: f32, at_px: vec2<f32>, gap: f32, uv: vec2<f32>) -> vec2<f32> {
+/// Where the shadow of a blocker that is `gap` before a receiver goes on the receiver's plane as a point of the light goes from the
+/// light's centre along its half axes: pixels times depth, and depth.
+struct ShadowShift {
+    along_u: vec3<f32>,
+    along_v: vec3<f32>,
+    /// Of the receiver; 1 where pixels do not depend on it.
+    depth: f32,
+}
+
+fn shadow_shift(position: vec3<f32>, normal: vec3<f32>, depth: f32, at_px: vec2<f32>, gap: f32) -> ShadowShift {
     let to = select(emitter.center - position, emitter.center, emitter.distant == 1u);
-    let across = widening(gap, position) * (uv.x * emitter.half_u + uv.y * emitter.half_v);
-    let cosine = max(dot(normal, to), LEAST_COSINE * length(to));
-    let shift = across - to * (dot(normal, across) / cosine);
-    let ahead = select(dot(screen.forward, shift), 0.0, screen.orthographic == 1u);
-    let moved = screen.focal * vec2(dot(screen.right, shift), -dot(screen.up, shift)) - (at_px - screen.center_px) * ahead;
-    return moved / (select(depth, 1.0, screen.orthographic == 1u) + ahead);
+    let wide = widening(gap, position);
+    let tilt = normal / max(dot(normal, to), LEAST_COSINE * length(to));
+    let u = wide * emitter.half_u;
+    let v = wide * emitter.half_v;
+    let is_orthographic = screen.orthographic == 1u;
+    let from_center_px = select(at_px - screen.center_px, vec2(0.0), is_orthographic);
+    return ShadowShift(
+        moved_on_screen(u - to * dot(tilt, u), from_center_px, is_orthographic),
+        moved_on_screen(v - to * dot(tilt, v), from_center_px, is_orthographic),
+        select(depth, 1.0, is_orthographic),
+    );
+}
+
+fn moved_on_screen(shift: vec3<f32>, from_center_px: vec2<f32>, is_orthographic: bool) -> vec3<f32> {
+    let ahead = select(dot(screen.forward, shift), 0.0, is_orthographic);
+    return vec3(screen.focal * vec2(dot(screen.right, shift), -dot(screen.up, shift)) - from_center_px * ahead, ahead);
+}
+
+/// Pixels to where the shadow goes as the point goes to `uv`.
+fn shift_px(shift: ShadowShift, uv: vec2<f32>) -> vec2<f32> {
+    let moved = uv.x * shift.along_u + uv.y * shift.along_v;
+    return moved.xy / (shift.depth + moved.z);
 }
 
 /// The pixel at a place of the screen, or none.

@@ -56,13 +56,13 @@ fn smooth_over(receiver: Receiver, gap: f32, cell: vec2<f32>, most_apart: f32) -
     let own = shown[receiver.number];
     let own_px = middle_px(receiver.number);
     let slope = slope_of(receiver.normal, own_px);
+    let shift = shadow_shift(receiver.position, receiver.normal, own.z, own_px, gap);
     var sum = vec2(0.0);
     var used = 0.0;
     for (var i = 0u; i < TAPS; i++) {
         let tap = tap_at(i);
         let uv = cell * select(tap, disk_from_square(0.5 * tap + 0.5), emitter.domain == 1u);
-        let shift_px = shadow_shift_px(receiver.position, receiver.normal, own.z, own_px, gap, uv);
-        let pixel = pixel_at(own_px + shift_px);
+        let pixel = pixel_at(own_px + shift_px(shift, uv));
         if (!is_on_screen(pixel)) {
             continue;
         }

@@ -85,10 +85,24 @@ fn kept(point: u32, id: u32) -> u32 {
     return extractBits(planes[point / 4u * arrayLength(&receivers) + id], 8u * (point % 4u), 8u);
 }
 
-fn keep(point: u32, id: u32, found: u32) {
-    let at = point / 4u * arrayLength(&receivers) + id;
-    planes[at] = insertBits(planes[at], found, 8u * (point % 4u), 8u);
+/// Keeps what the job's points are to a receiver, of those in `wanted`: a bit each.
+fn keep(id: u32, found: vec4<u32>, wanted: u32) {
+    let bits = (vec4(wanted) >> vec4(0u, 1u, 2u, 3u)) & vec4(1u);
+    let masks = (255u * bits) << BYTE;
+    let bytes = (found << BYTE) & masks;
+    let mask = masks.x | masks.y | masks.z | masks.w;
+    let all = bytes.x | bytes.y | bytes.z | bytes.w;
+    let at = job.number / 4u * arrayLength(&receivers) + id;
+    let shift = 8u * (job.number % 4u);
+    planes[at] = (planes[at] & ~(mask << shift)) | (all << shift);
+    // Those that the first word has no room for.
+    if (shift > 0u && (mask >> (32u - shift)) > 0u) {
+        let next = at + arrayLength(&receivers);
+        planes[next] = (planes[next] & ~(mask >> (32u - shift))) | (all >> (32u - shift));
+    }
 }
+
+const BYTE: vec4<u32> = vec4(0u, 8u, 16u, 24u);
 
 fn note_blockers(id: u32, found: LookedUp) {
     if (filters) {
@@ -109,21 +123,21 @@ fn receiver_in_tile(group: u32, lane: u32) -> u32 {
     return select(NO_RECEIVER, tile.x + place, place < tile.y);
 }
 
-/// Takes the job's points for what others are to the tiles' receivers: those are looked up that need to be.
+/// Takes the job's points that the tiles do not need for what others are to their receivers.
 @compute @workgroup_size(64)
 fn inherit(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
     let id = receiver_in_tile(group.x, lane);
     if (id == NO_RECEIVER) {
         return;
     }
+    var found = vec4(kernel * kernel);
     for (var i = 0u; i < job.count; i++) {
         let other = job.others[i];
-        var found = kernel * kernel;
         if (other != SEEN_WHOLE) {
-            found = kept(other, id);
+            found[i] = kept(other, id);
         }
-        keep(job.number + i, id, found);
     }
+    keep(id, found, ~needed[group.x / 4u].z & ((1u << job.count) - 1u));
 }
 
 /// Looks the job's points up in the tiles that need them.
@@ -135,14 +149,16 @@ fn look_up(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_in
     }
     let wanted = needed[group.x / 4u].z;
     let receiver = receivers[id];
+    var unblocked = vec4(0u);
     var gaps = vec2(0.0);
     for (var i = 0u; i < job.count; i++) {
         if (extractBits(wanted, i, 1u) == 1u) {
             let found = looked_up(points[job.first + i], receiver);
-            keep(job.number + i, id, found.unblocked);
+            unblocked[i] = found.unblocked;
             gaps += found.gaps;
         }
     }
+    keep(id, unblocked, wanted);
     if (filters) {
         blockers[id] += gaps;
     }
@@ -206,14 +222,6 @@ fn of_point(light_point: LightPoint, id: u32, weight: f32) -> vec4<f32> {
     note_blockers(id, found);
     let share = f32(found.unblocked) / f32(kernel * kernel);
     return vec4(share * all, all);
-}
-
-/// Lets all receivers see the light whole: those that nothing can shadow do.
-@compute @workgroup_size(64)
-fn light_up(@builtin(global_invocation_id) id: vec3<u32>) {
-    if (id.x < arrayLength(&receivers)) {
-        sums[id.x] = vec4(job.counts.x, 0.0, job.counts.x, 0.0);
-    }
 }
 
 /// Adds up the points from their bytes, for the tiles' receivers.

@@ -96,9 +96,8 @@ fn smooth_out(@builtin(global_invocation_id) id: vec3<u32>) {
     let own_px = middle_px(receiver.number);
     let slope = slope_of(receiver.normal, own_px);
     // What the corners of a cell, as far from its middle as they are, move the shadow by.
-    let u = shadow_shift_px(receiver.position, receiver.normal, own.z, own_px, gap, vec2(job.cell, 0.0));
-    let v = shadow_shift_px(receiver.position, receiver.normal, own.z, own_px, gap, vec2(0.0, job.cell));
-    let reach_px = abs(u) + abs(v);
+    let shift = shadow_shift(receiver.position, receiver.normal, own.z, own_px, gap);
+    let reach_px = abs(shift_px(shift, vec2(job.cell, 0.0))) + abs(shift_px(shift, vec2(0.0, job.cell)));
     let middle = f32(taps / 2u);
     var sum = vec2(0.0);
     var whole = 0.0;

@@ -454,6 +454,9 @@ fn smoothed(receiver: Receiver, past: Past) -> Smoothed {
     let slope = select(slope_of(receiver.normal, own_px), vec2(0.0), screen_disk);
     let sampler = sampler_of(3u, vec2(4u, 4u), receiver.number, 2u);
     let light_size = 2.0 * max(length(emitter.half_u), length(emitter.half_v));
+    let shift = shadow_shift(receiver.position, receiver.normal, past.depth, own_px, past.gap);
+    // The light's shape, as much smaller as the samples leave out of it.
+    let size = min(KERNEL * pow(whole_net(past.count), -0.75), 1.0);
     var sum = 0.0;
     var used = 0.0;
     var others = 0.0;
@@ -465,9 +468,7 @@ fn smoothed(receiver: Receiver, past: Past) -> Smoothed {
             let width_px = light_size * reach * screen.focal / select(past.depth, 1.0, screen.orthographic == 1u);
             offset_px = 0.5 * width_px * POISSON[i];
         } else {
-            // The light's shape, as much smaller as the samples leave out of it.
-            let uv = kernel_uv(sampler, i) * min(KERNEL * pow(whole_net(past.count), -0.75), 1.0);
-            offset_px = shadow_shift_px(receiver.position, receiver.normal, past.depth, own_px, past.gap, uv);
+            offset_px = shift_px(shift, size * kernel_uv(sampler, i));
         }
         let pixel = pixel_at(own_px + offset_px);
         if (!is_on_screen(pixel)) {

@@ -39,15 +39,11 @@ gpu_struct! {
 /// Sides of the tiles of pixels whose receivers are bounded together, pixels.
 pub const TILE: u32 = 16;
 
-/// Tiles of an image of so many, with those around them: an edge that the points of a tile miss may be seen by its neighbours'.
-pub fn around(tiles: impl IntoIterator<Item = u32>, columns: u32, count: u32) -> BTreeSet<u32> {
-    let rows = count / columns;
+/// A tile of an image of so many and those around it: an edge that the points of a tile miss may be seen by its neighbours'.
+pub fn around(tile: u32, columns: u32, count: u32) -> impl Iterator<Item = u32> {
     let near = |at: u32, count: u32| at.saturating_sub(1)..(at + 2).min(count);
-    let ring = |tile: u32| {
-        let (x, y) = (tile % columns, tile / columns);
-        near(y, rows).flat_map(move |y| near(x, columns).map(move |x| y * columns + x))
-    };
-    tiles.into_iter().flat_map(ring).collect()
+    let (x, y) = (tile % columns, tile / columns);
+    near(y, count / columns).flat_map(move |y| near(x, columns).map(move |x| y * columns + x))
 }
 
 /// Sides of the blocks of tiles that are held against all casters, tiles.
@@ -76,10 +72,21 @@ pub struct LightView<'a> {
     pub tiles: Vec<Bounds>,
     /// The number of each of these tiles, row by row.
     pub tile_numbers: Vec<u32>,
-    /// The receivers in as many buffers as the adapter's limits ask for.
+    /// The receivers that are worked on, in as many buffers as the adapter's limits ask for.
     pub chunks: Vec<Chunk>,
+    /// Pixels of the other receivers that the light faces: nothing hides any of it from them.
+    pub lit: Vec<u32>,
     /// By pixel, whether the light faces its receiver.
-    facing: Vec<bool>,
+    pub facing: Vec<bool>,
+}
+
+/// The receivers that a technique works on.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Work {
+    /// Those that the light faces.
+    All,
+    /// Of these, those in tiles in which something may hide some of the light.
+    Shadowed,
 }
 
 /// Some of the receivers, tile by tile.
@@ -96,15 +103,20 @@ pub struct Chunk {
 impl Chunk {
     /// Those of an image `width` pixels wide, tile by tile.
     pub fn new(pixels: Vec<u32>, width: u32, buffer: wgpu::Buffer) -> Self {
-        let mut tiles: Vec<(u32, Range<u32>)> = Vec::new();
-        for (i, &pixel) in (0..).zip(&pixels) {
-            match tiles.last_mut() {
-                Some((tile, range)) if *tile == tile_of(pixel, width) => range.end = i + 1,
-                _ => tiles.push((tile_of(pixel, width), i..i + 1)),
-            }
-        }
-        Self { pixels, tiles, buffer }
+        Self { tiles: by_tile(&pixels, width), pixels, buffer }
     }
+}
+
+/// The tiles that pixels of an image are in, and which of them: pixels of a tile are in a row.
+pub fn by_tile(pixels: &[u32], width: u32) -> Vec<(u32, Range<u32>)> {
+    let mut tiles: Vec<(u32, Range<u32>)> = Vec::new();
+    for (i, &pixel) in (0..).zip(pixels) {
+        match tiles.last_mut() {
+            Some((tile, range)) if *tile == tile_of(pixel, width) => range.end = i + 1,
+            _ => tiles.push((tile_of(pixel, width), i..i + 1)),
+        }
+    }
+    tiles
 }
 
 /// The tile that a pixel of an image is in.
@@ -121,14 +133,20 @@ impl<'a> LightView<'a> {
     /// # Errors
     /// [`crate::Error::Gpu`] where the receivers don't fit.
     pub fn new(gpu: &'a Gpu, frame: &'a Frame, light: &AreaLight) -> Result<Option<Self>> {
-        Self::in_chunks(gpu, frame, light, size_of::<GpuReceiver>() as u64)
+        Self::in_chunks(gpu, frame, light, size_of::<GpuReceiver>() as u64, Work::All)
     }
 
     /// [`LightView::new`] for what keeps up to so many bytes a receiver in a buffer: no chunk has more than fit.
     ///
     /// # Errors
     /// As [`LightView::new`].
-    pub fn in_chunks(gpu: &'a Gpu, frame: &'a Frame, light: &AreaLight, bytes_a_receiver: u64) -> Result<Option<Self>> {
+    pub fn in_chunks(
+        gpu: &'a Gpu,
+        frame: &'a Frame,
+        light: &AreaLight,
+        bytes_a_receiver: u64,
+        work: Work,
+    ) -> Result<Option<Self>> {
         let buffers = frame.buffers.expect("a technique with a GPU is given the scene on it");
         let linking = Linking::of(frame.scene, light);
         let pixels = &frame.receivers.pixels;
@@ -177,7 +195,37 @@ impl<'a> LightView<'a> {
         // Neighbours in the image are neighbours on the GPU, and read the same texels.
         let mut numbers: Vec<u32> = (0..pixels.len() as u32).filter(|&number| facing[number as usize]).collect();
         numbers.par_sort_by_key(|&number| tile_of(number, width));
-        let chunks = numbers
+        let casters = buffers.draw_list(gpu, frame.scene, space, Part::Chunk, is_caster)?;
+        // A distant emitter is made of directions, which have no scale.
+        let emitter = if emitter.distant {
+            emitter
+        } else {
+            Emitter {
+                center: on_gpu(seen_from + emitter.center),
+                half_u: emitter.half_u / space.unit,
+                half_v: emitter.half_v / space.unit,
+                ..emitter
+            }
+        };
+        let mut view = Self {
+            gpu,
+            buffers,
+            emitter,
+            space,
+            caster_bounds: casters.bounds(),
+            casters,
+            receiver_bounds: Bounds { min: on_gpu(receiver_bounds.min), max: on_gpu(receiver_bounds.max) },
+            tiles,
+            tile_numbers,
+            chunks: Vec::new(),
+            lit: Vec::new(),
+            facing,
+        };
+        if work == Work::Shadowed {
+            let shadowed = view.shadowed_tiles(frame, light, &numbers);
+            (numbers, view.lit) = numbers.into_iter().partition(|&number| shadowed[tile_of(number, width) as usize]);
+        }
+        view.chunks = numbers
             .chunks(most_receivers(gpu, bytes_a_receiver))
             .map(|numbers| {
                 let receiver = |&number: &u32| {
@@ -196,31 +244,7 @@ impl<'a> LightView<'a> {
                 Ok(Chunk::new(numbers.to_vec(), width, buffer))
             })
             .collect::<Result<_>>()?;
-        let casters = buffers.draw_list(gpu, frame.scene, space, Part::Chunk, is_caster)?;
-        // A distant emitter is made of directions, which have no scale.
-        let emitter = if emitter.distant {
-            emitter
-        } else {
-            Emitter {
-                center: on_gpu(seen_from + emitter.center),
-                half_u: emitter.half_u / space.unit,
-                half_v: emitter.half_v / space.unit,
-                ..emitter
-            }
-        };
-        Ok(Some(Self {
-            gpu,
-            buffers,
-            emitter,
-            space,
-            caster_bounds: casters.bounds(),
-            casters,
-            receiver_bounds: Bounds { min: on_gpu(receiver_bounds.min), max: on_gpu(receiver_bounds.max) },
-            tiles,
-            tile_numbers,
-            chunks,
-            facing,
-        }))
+        Ok(Some(view))
     }
 
     /// Casters, and what they could be but for the receivers all lying on it.
@@ -240,10 +264,11 @@ impl<'a> LightView<'a> {
         Bounds { min: (bounds.min - origin) / unit, max: (bounds.max - origin) / unit }
     }
 
-    /// The numbers of the tiles in which something may hide some of the light from a receiver: a caster in the hull of the tile's
+    /// By tile, whether in it something may hide some of the light from one of these receivers, sorted by tile: a caster in the hull of the tile's
     /// receivers and the light, or a receiver's own tangent plane. All other receivers see it whole.
-    pub fn shadowed_tiles(&self, frame: &Frame, light: &AreaLight) -> BTreeSet<u32> {
-        let columns = frame.receivers.size[0].div_ceil(TILE);
+    fn shadowed_tiles(&self, frame: &Frame, light: &AreaLight, numbers: &[u32]) -> Vec<bool> {
+        let [width, height] = frame.receivers.size;
+        let columns = width.div_ceil(TILE);
         // Blocks of tiles first: most casters are nowhere near most tiles.
         let mut blocks: BTreeMap<[u32; 2], Vec<(u32, Bounds)>> = BTreeMap::new();
         for (&tile, &bounds) in self.tile_numbers.iter().zip(&self.tiles) {
@@ -269,11 +294,22 @@ impl<'a> LightView<'a> {
             let normal = receiver.normal;
             normal.dot(center - from) < normal.dot(half_u).abs() + normal.dot(half_v).abs()
         };
-        let cut = self.chunks.par_iter().flat_map_iter(|chunk| {
-            let is_cut = |range: &Range<u32>| chunk.pixels[range.start as usize..range.end as usize].iter().any(is_cut);
-            chunk.tiles.iter().filter(move |(_, range)| is_cut(range)).map(|(tile, _)| *tile)
-        });
-        behind_casters.chain(cut).collect()
+        let cut = by_tile(numbers, width)
+            .into_par_iter()
+            .filter(|(_, range)| numbers[range.start as usize..range.end as usize].iter().any(is_cut))
+            .map(|(tile, _)| tile);
+        let mut shadowed = vec![false; (columns * height.div_ceil(TILE)) as usize];
+        for tile in behind_casters.chain(cut).collect::<Vec<u32>>() {
+            shadowed[tile as usize] = true;
+        }
+        shadowed
+    }
+
+    /// Tiles, by number, whose receivers the light faces and that are not worked on.
+    pub fn lit_tiles(&self) -> Vec<u32> {
+        let worked_on: BTreeSet<u32> =
+            self.chunks.iter().flat_map(|chunk| &chunk.tiles).map(|(tile, _)| *tile).collect();
+        self.tile_numbers.iter().copied().filter(|tile| !worked_on.contains(tile)).collect()
     }
 
     /// The hull of the light and a box, both on the GPU's scale.
@@ -292,7 +328,7 @@ impl<'a> LightView<'a> {
     }
 
     /// The image of a light: `answer` gives V and, if asked for, E/E₀ of the `i`th receiver of a chunk; where the light faces
-    /// nothing V is 0.
+    /// nothing V is 0, and 1 where it faces what is not worked on.
     pub fn image(
         view: Option<&Self>,
         frame: &Frame,
@@ -304,10 +340,10 @@ impl<'a> LightView<'a> {
         let mut visibility: Vec<f32> = pixels.iter().map(missed).collect();
         let mut ratio = visibility.clone();
         let mut irradiance = vec![[0.0f32; 3]; if frame.irradiance { pixels.len() } else { 0 }];
-        for (at, chunk) in view.map_or(&[][..], |view| &view.chunks).iter().enumerate() {
+        let mut add = |numbers: &[u32], answer: &(dyn Fn(usize, &Receiver) -> (f64, f64) + Sync)| {
             let of = |(i, &number): (usize, &u32)| {
                 let receiver = pixels[number as usize].as_ref().expect("only hits face the light");
-                let (seen, share) = answer(at, i, receiver);
+                let (seen, share) = answer(i, receiver);
                 let rgb = if frame.irradiance && share > 0.0 {
                     share * irradiance::unshadowed(light, receiver)
                 } else {
@@ -320,13 +356,19 @@ impl<'a> LightView<'a> {
                     if rgb == DVec3::ZERO { 0.0 } else { share as f32 },
                 )
             };
-            let answers: Vec<_> = chunk.pixels.par_iter().enumerate().with_min_len(1024).map(of).collect();
+            let answers: Vec<_> = numbers.par_iter().enumerate().with_min_len(1024).map(of).collect();
             for (number, seen, rgb, share) in answers {
                 visibility[number] = seen;
                 ratio[number] = share;
                 if frame.irradiance {
                     irradiance[number] = rgb;
                 }
+            }
+        };
+        if let Some(view) = view {
+            add(&view.lit, &|_, _| (1.0, 1.0));
+            for (at, chunk) in view.chunks.iter().enumerate() {
+                add(&chunk.pixels, &|i, receiver| answer(at, i, receiver));
             }
         }
         LightImage {

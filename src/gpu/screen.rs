@@ -1,11 +1,14 @@
 //! The camera as shaders read it, for techniques that look at a receiver's neighbours on the screen.
 
 use glam::{DVec2, Vec2, Vec3};
+use rayon::prelude::*;
 
 use super::light_view::LightView;
-use crate::gpu_struct;
 use crate::history::Shot;
+use crate::receivers::Receiver;
 use crate::scene::{Camera, Projection};
+use crate::techniques::Frame;
+use crate::{Result, gpu_struct};
 
 /// How far depths of one surface may differ, as a fraction of the view's height there.
 pub const SAME_SURFACE: f64 = 0.005;
@@ -54,6 +57,31 @@ impl Screen {
             tolerance: tolerance(camera, epsilon, view.space.unit),
             padding: [0; 2],
         }
+    }
+
+    /// What receivers that see the light whole show to their neighbours, by pixel: V, E/E₀, depth and one more than the instance,
+    /// as in `lib/smooth.wgsl`; zeros elsewhere, for what is worked on to be shown.
+    ///
+    /// # Errors
+    /// [`crate::Error::Gpu`] where they don't fit.
+    pub fn show_lit(&self, frame: &Frame, view: &LightView) -> Result<wgpu::Buffer> {
+        let storage = wgpu::BufferUsages::STORAGE;
+        let label = "what neighbours see";
+        if view.lit.is_empty() {
+            return view.gpu.empty_buffer(label, 16 * frame.receivers.pixels.len() as u64, storage);
+        }
+        let show = |(receiver, &is_facing): (&Option<Receiver>, &bool)| {
+            receiver.as_ref().filter(|_| is_facing).map_or([0.0; 4], |receiver| {
+                let position = ((receiver.position - view.space.origin) / view.space.unit).as_vec3();
+                [1.0, 1.0, self.forward.dot(position) + self.depth, f32::from_bits(receiver.instance + 1)]
+            })
+        };
+        let mut shown: Vec<[f32; 4]> =
+            frame.receivers.pixels.par_iter().zip(&view.facing).with_min_len(1024).map(show).collect();
+        for &pixel in view.chunks.iter().flat_map(|chunk| &chunk.pixels) {
+            shown[pixel as usize] = [0.0; 4];
+        }
+        view.gpu.buffer(label, &shown, storage)
     }
 }
 

@@ -18,7 +18,6 @@
 
 mod tree;
 
-use std::collections::BTreeSet;
 use std::ops::Range;
 use std::sync::Arc;
 
@@ -33,7 +32,7 @@ use super::{
 };
 use crate::gpu::center_map::emitter_of;
 use crate::gpu::emission::Emission;
-use crate::gpu::light_view::{Chunk, GpuReceiver, LightView, TILE, WORKGROUP, around, seen_of};
+use crate::gpu::light_view::{self, Chunk, GpuReceiver, LightView, TILE, WORKGROUP, around, seen_of};
 use crate::gpu::pass::Compute;
 use crate::gpu::screen::{SAME_SURFACE, Screen};
 use crate::gpu::shader::Pipeline;
@@ -303,6 +302,11 @@ impl Adaptive {
         self.evaluation == Evaluation::Once || self.test == Test::Visibility
     }
 
+    /// Whether points of a division are looked up in the tiles alone that want it.
+    fn skips(&self) -> bool {
+        self.evaluation == Evaluation::Once && self.test == Test::Visibility
+    }
+
     /// Bytes that are kept of a receiver of the camera's.
     fn bytes_a_receiver(&self) -> u64 {
         let words = u64::from(self.max_maps).div_ceil(IN_WORD as u64);
@@ -316,7 +320,8 @@ impl Technique for Built {
     fn render(&self, frame: &Frame, light: &AreaLight) -> Result<LightImage> {
         let parameters = &self.parameters;
         let is_line = parameters.is_line(light)?;
-        let view = LightView::in_chunks(&self.gpu, frame, light, parameters.bytes_a_receiver())?;
+        let which = if parameters.skips() { light_view::Work::Shadowed } else { light_view::Work::All };
+        let view = LightView::in_chunks(&self.gpu, frame, light, parameters.bytes_a_receiver(), which)?;
         let rows = u64::from(frame.receivers.size[1]);
         let Some(view) = view else {
             frame.progress.advance(rows)?;
@@ -325,11 +330,11 @@ impl Technique for Built {
         let is_point = view.emitter.domain == Domain::Point;
         let (min_depth, max_depth) = if is_point { (0, 0) } else { (parameters.min_depth, parameters.max_depth) };
         let mut tree = Tree::new(parameters.points, is_line, min_depth, max_depth);
-        let mut work = Work::new(parameters, frame, light, &view)?;
-        if work.skips() && work.shadowed.is_empty() {
+        if view.chunks.is_empty() {
             frame.progress.advance(rows)?;
-            return Ok(work.image(|_, _| (1.0, 1.0)));
+            return Ok(LightView::image(Some(&view), frame, light, |_, _, _| (1.0, 1.0)));
         }
+        let mut work = Work::new(parameters, frame, light, &view)?;
         let first: Vec<Added> =
             (0..if is_point { 1 } else { tree.len() }).map(|point| Added { point, cells: Vec::new() }).collect();
         work.add(&tree, &first, &[])?;
@@ -347,7 +352,7 @@ impl Technique for Built {
             let divided: Vec<Cell> = chosen.iter().map(|compared| compared.cell).collect();
             let (parts, added) = tree.divide(&divided);
             work.add(&tree, &added, &chosen)?;
-            if work.skips() {
+            if parameters.skips() {
                 work.deepen(&compared, &divided);
             }
             cells = parts;
@@ -395,8 +400,8 @@ struct Compared {
     share: f64,
     /// How much, in all.
     differing: u64,
-    /// Tiles in which something differs, and those around them, by number.
-    tiles: BTreeSet<u32>,
+    /// By tile, whether something differs in it or in one of those around it.
+    tiles: Vec<bool>,
 }
 
 /// One light on its way.
@@ -421,8 +426,8 @@ struct Work<'a> {
     emission: wgpu::Buffer,
     /// Texels read.
     texels: u64,
-    /// Tiles of the camera's in which something may hide some of the light.
-    shadowed: BTreeSet<u32>,
+    /// By tile of the camera's, whether it is worked on.
+    tiles: Vec<bool>,
     /// How often the light has been divided for each tile of the camera's.
     tile_depths: Vec<u32>,
     shadow_maps: u32,
@@ -498,7 +503,9 @@ impl<'a> Work<'a> {
             let of_bytes =
                 |label, bytes| gpu.empty_buffer(label, bytes * chunk.pixels.len() as u64, wgpu::BufferUsages::STORAGE);
             let (sums, blockers) = (of_bytes("sums", 16)?, of_bytes("blockers", 8)?);
-            Ok(Known { chunk, tiles: Vec::new(), planes: Planes::new(gpu, chunk.pixels.len())?, sums, blockers })
+            let of_tile = |(_, range): &(u32, Range<u32>)| [range.start, range.len() as u32, 0, 0];
+            let tiles = tile_lists(gpu, &chunk.tiles.iter().map(of_tile).collect::<Vec<_>>())?;
+            Ok(Known { chunk, tiles, planes: Planes::new(gpu, chunk.pixels.len())?, sums, blockers })
         };
         let mut work = Self {
             parameters,
@@ -514,22 +521,17 @@ impl<'a> Work<'a> {
             arrays: Vec::new(),
             emission: gpu.buffer("emission", &[Emission::of(light)], wgpu::BufferUsages::UNIFORM)?,
             texels: 0,
-            shadowed: BTreeSet::new(),
+            tiles: Vec::new(),
             tile_depths: Vec::new(),
             shadow_maps: 0,
             passes: Vec::new(),
         };
-        let skips = work.skips();
-        if skips {
-            work.shadowed = view.shadowed_tiles(frame, light);
+        let tiles = work.job(frame.receivers.size).tiles as usize;
+        work.tile_depths = vec![parameters.min_depth; tiles];
+        work.tiles = vec![false; tiles];
+        for (tile, _) in view.chunks.iter().flat_map(|chunk| &chunk.tiles) {
+            work.tiles[*tile as usize] = true;
         }
-        for known in &mut work.known {
-            let is_worked_on = |(tile, _): &&(u32, Range<u32>)| !skips || work.shadowed.contains(tile);
-            let of_tile = |(_, range): &(u32, Range<u32>)| [range.start, range.len() as u32, 0, 0];
-            let tiles: Vec<[u32; 4]> = known.chunk.tiles.iter().filter(is_worked_on).map(of_tile).collect();
-            known.tiles = tile_lists(gpu, &tiles)?;
-        }
-        work.tile_depths = vec![parameters.min_depth; work.job(frame.receivers.size).tiles as usize];
         if parameters.compare == View::Light {
             work.center = work.center_view()?;
         }
@@ -565,20 +567,15 @@ impl<'a> Work<'a> {
         self.view.gpu.compute_pipeline("techniques/adaptive.wgsl", entry_point, &constants)
     }
 
-    /// Whether points of a division are looked up in the tiles alone that want it.
-    fn skips(&self) -> bool {
-        self.parameters.evaluation == Evaluation::Once && self.parameters.test == Test::Visibility
-    }
-
     /// Notes for which tiles all the cells that they want have been divided.
     fn deepen(&mut self, compared: &[Compared], divided: &[Cell]) {
         let mut wanted = vec![false; self.tile_depths.len()];
         let mut refused = wanted.clone();
         for compared in compared {
             let is_divided = divided.contains(&compared.cell);
-            for &tile in &compared.tiles {
-                wanted[tile as usize] = true;
-                refused[tile as usize] |= !is_divided;
+            for (tile, _) in compared.tiles.iter().enumerate().filter(|(_, differs)| **differs) {
+                wanted[tile] = true;
+                refused[tile] |= !is_divided;
             }
         }
         for ((depth, wanted), refused) in self.tile_depths.iter_mut().zip(wanted).zip(refused) {
@@ -679,17 +676,13 @@ impl<'a> Work<'a> {
         let gpu = self.view.gpu;
         let points: Vec<MapPoint> = added.iter().map(|added| self.map_point(tree, added.point)).collect();
         let margin = if kernel > 1 { kernel / 2 + 1 } else { 0 };
-        let skips = self.skips();
-        // Of each point: the tiles that need it.
-        let needed = |added: &Added| -> BTreeSet<u32> {
-            let near = added.cells.iter().flat_map(|&cell| &divided[cell].tiles).copied();
-            if divided.is_empty() {
-                self.shadowed.clone()
-            } else {
-                near.filter(|tile| self.shadowed.contains(tile)).collect()
-            }
+        let skips = self.parameters.skips();
+        // Of each point: by tile, whether it is needed there, if that is asked.
+        let needed = |added: &Added| -> Vec<bool> {
+            let differs = |tile: usize| divided.is_empty() || added.cells.iter().any(|&cell| divided[cell].tiles[tile]);
+            self.tiles.iter().enumerate().map(|(tile, &is_worked_on)| is_worked_on && differs(tile)).collect()
         };
-        let needed: Vec<BTreeSet<u32>> = added.iter().map(needed).collect();
+        let needed: Vec<Vec<bool>> = added.iter().filter(|_| skips).map(needed).collect();
         let (boxes, size) = if skips { self.cropped(&points, &needed, margin) } else { (self.whole(), map_size) };
         self.check_memory(points.len(), size)?;
         self.count(added.len(), skips.then_some(&needed[..]));
@@ -734,9 +727,9 @@ impl<'a> Work<'a> {
 
     /// Where the tiles are that need some of the points, and how large maps of them are: with texels no larger than
     /// where all receivers are held, in the map that looks the same way, or, if a crop has a view of its own, in the coarsest.
-    fn cropped(&self, points: &[MapPoint], needed: &[BTreeSet<u32>], margin: u32) -> (Vec<Bounds>, u32) {
+    fn cropped(&self, points: &[MapPoint], needed: &[Vec<bool>], margin: u32) -> (Vec<Bounds>, u32) {
         let size = self.parameters.map_size;
-        let is_needed = |tile: &u32| needed.iter().any(|needed| needed.contains(tile));
+        let is_needed = |tile: &u32| needed.iter().any(|needed| needed[*tile as usize]);
         let tiles = self.view.tile_numbers.iter().zip(&self.view.tiles);
         let boxes: Vec<Bounds> = tiles.filter(|(tile, _)| is_needed(tile)).map(|(_, bounds)| *bounds).collect();
         if boxes.len() == self.view.tiles.len() {
@@ -766,31 +759,31 @@ impl<'a> Work<'a> {
         frame: &mut gpu::pass::Frame,
         maps: &RenderedMaps,
         job: Job,
-        needed: Option<&[BTreeSet<u32>]>,
+        needed: Option<&[Vec<bool>]>,
     ) -> Result<()> {
         let gpu = self.view.gpu;
         let uniform = self.uniform(job)?;
         let all = (1 << job.count) - 1;
         let bits = |tile: u32| match needed {
             None => all,
-            Some(needed) => (0..).zip(needed).map(|(i, needed)| u32::from(needed.contains(&tile)) << i).sum(),
+            Some(needed) => (0..).zip(needed).map(|(i, needed)| u32::from(needed[tile as usize]) << i).sum(),
         };
         for known in self.known.iter().filter(|_| self.parameters.keeps_bytes()) {
             let of_tile = |(tile, range): &(u32, Range<u32>)| [range.start, range.len() as u32, bits(*tile), 0];
-            let mut tiles: Vec<[u32; 4]> = known.chunk.tiles.iter().map(of_tile).collect();
-            if tiles.iter().any(|[.., bits, _]| *bits != all) {
-                for tiles in &known.tiles {
-                    frame
-                        .compute("look-ups", &self.pipeline("inherit"))
-                        .bind("planes", &known.planes.buffer)
-                        .bind("receivers", &known.chunk.buffer)
-                        .bind("job", &uniform)
-                        .bind("needed", &tiles.buffer)
-                        .dispatch(tiles.groups);
-                }
+            let tiles: Vec<[u32; 4]> = known.chunk.tiles.iter().map(of_tile).collect();
+            let those = |is_one: &dyn Fn(u32) -> bool| {
+                tile_lists(gpu, &tiles.iter().filter(|[.., bits, _]| is_one(*bits)).copied().collect::<Vec<_>>())
+            };
+            for tiles in those(&|bits| bits != all)? {
+                frame
+                    .compute("inheritance", &self.pipeline("inherit"))
+                    .bind("planes", &known.planes.buffer)
+                    .bind("receivers", &known.chunk.buffer)
+                    .bind("job", &uniform)
+                    .bind("needed", &tiles.buffer)
+                    .dispatch(tiles.groups);
             }
-            tiles.retain(|[.., bits, _]| *bits > 0);
-            for tiles in tile_lists(gpu, &tiles)? {
+            for tiles in those(&|bits| bits > 0)? {
                 self.read(frame.compute("look-ups", &self.pipeline("look_up")), known, maps, &uniform)
                     .bind("planes", &known.planes.buffer)
                     .bind("needed", &tiles.buffer)
@@ -835,13 +828,14 @@ impl<'a> Work<'a> {
     }
 
     /// Counts the texels that so many new points are read at, or those that are needed in some tiles alone.
-    fn count(&mut self, points: usize, needed: Option<&[BTreeSet<u32>]>) {
+    fn count(&mut self, points: usize, needed: Option<&[Vec<bool>]>) {
         let points = points as u64;
         let kernel = u64::from(self.parameters.kernel.pow(2));
         let own = receivers(&self.view.chunks);
         let population = population(self.job(self.frame.receivers.size).tiles as usize, &self.view.chunks);
-        let in_tiles =
-            |tiles: &BTreeSet<u32>| tiles.iter().map(|&tile| u64::from(population[tile as usize])).sum::<u64>();
+        let in_tiles = |needed: &Vec<bool>| -> u64 {
+            needed.iter().zip(&population).filter(|(needed, _)| **needed).map(|(_, &count)| u64::from(count)).sum()
+        };
         if self.parameters.keeps_bytes() {
             self.texels += kernel * needed.map_or(points * own, |needed| needed.iter().map(in_tiles).sum());
         }
@@ -935,7 +929,10 @@ impl<'a> Work<'a> {
             }
         }
         let share_of = |(cell, differing, counts): (Cell, u64, Vec<u32>)| {
-            let tiles = around((0..job.tiles).filter(|&tile| counts[tile as usize] > 0), job.tile_columns, job.tiles);
+            let mut near = vec![false; counts.len()];
+            for tile in (0..job.tiles).filter(|&tile| counts[tile as usize] > 0) {
+                around(tile, job.tile_columns, job.tiles).for_each(|tile| near[tile as usize] = true);
+            }
             let share = match metric {
                 Metric::Tile => {
                     let of_tile = |(&count, &share): (&u32, &f64)| if count > 0 { share } else { 0.0 };
@@ -947,7 +944,7 @@ impl<'a> Work<'a> {
                 }
                 Metric::Printed | Metric::Image => differing as f64 / (most * all),
             };
-            Compared { cell, share, differing, tiles }
+            Compared { cell, share, differing, tiles: near }
         };
         Ok(found.into_iter().map(share_of).collect())
     }
@@ -983,15 +980,8 @@ impl<'a> Work<'a> {
                 let place = |(point, &weight): (&MapPoint, &f32)| Place { position: point.position.as_vec3(), weight };
                 let places: Vec<Place> = self.points.iter().zip(&weights).map(place).collect();
                 let places = gpu.buffer("points", &places, wgpu::BufferUsages::STORAGE)?;
-                let counts = Vec4::new(whole as f32, 0.0, 0.0, 0.0);
-                let uniform = self.uniform(Job { counts, ..self.job(self.frame.receivers.size) })?;
+                let uniform = self.uniform(self.job(self.frame.receivers.size))?;
                 for known in &self.known {
-                    frame
-                        .compute("visibility", &self.pipeline("light_up"))
-                        .bind("receivers", &known.chunk.buffer)
-                        .bind("job", &uniform)
-                        .bind("sums", &known.sums)
-                        .dispatch(groups(known.chunk));
                     for tiles in &known.tiles {
                         frame
                             .compute("visibility", &self.pipeline("sum"))
@@ -1041,15 +1031,15 @@ impl Work<'_> {
         let gpu = self.view.gpu;
         let size = self.frame.receivers.size;
         let storage = wgpu::BufferUsages::STORAGE;
-        let shown = gpu.empty_buffer("what neighbours see", 16 * u64::from(size[0]) * u64::from(size[1]), storage)?;
         let screen = Screen::new(shot, size, self.view, SAME_SURFACE);
+        let shown = screen.show_lit(self.frame, self.view)?;
         let screen = gpu.buffer("screen", &[screen], wgpu::BufferUsages::UNIFORM)?;
         let Job { tile_columns, tiles, .. } = self.job(size);
         let finest = |tile: u32| {
-            let near = around([tile], tile_columns, tiles);
-            near.into_iter().map(|tile| self.tile_depths[tile as usize]).max().expect("the tile itself")
+            let near = around(tile, tile_columns, tiles);
+            near.map(|tile| self.tile_depths[tile as usize]).max().expect("the tile itself")
         };
-        let sides: Vec<f32> = match self.skips() {
+        let sides: Vec<f32> = match self.parameters.skips() {
             // A kernel reaches into the tiles around.
             true => (0..tiles).map(|tile| tree.side_at(finest(tile)) as f32).collect(),
             false => vec![tree.side_at(tree.depth()) as f32; self.tile_depths.len()],

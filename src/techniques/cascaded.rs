@@ -24,7 +24,7 @@
 use std::ops::Range;
 use std::sync::Arc;
 
-use glam::DVec2;
+use glam::{DVec2, DVec3};
 use rayon::prelude::*;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -35,11 +35,12 @@ use super::{
 };
 use crate::gpu::center_map::emitter_of;
 use crate::gpu::emission::Emission;
-use crate::gpu::light_view::{Chunk, LightView, TILE, WORKGROUP, around};
+use crate::gpu::light_view::{self, Chunk, GpuReceiver, LightView, TILE, WORKGROUP, around, by_tile};
 use crate::gpu::screen::{SAME_SURFACE, Screen};
 use crate::gpu::shader::Pipeline;
 use crate::gpu::shadow_map::{self, Keep, MapPoint, ShadowMaps};
 use crate::gpu::{self, Gpu};
+use crate::receivers::Receiver;
 use crate::sampling::on_domain;
 use crate::scene::light::Domain;
 use crate::scene::{AreaLight, Bounds};
@@ -240,7 +241,10 @@ const GROUPS_A_TILE: u32 = TILE * TILE / WORKGROUP;
 /// Ranges of depths below this share of them are roundings, and not split.
 const LEAST_RANGE: f64 = 1.0 / (1 << 16) as f64;
 
-/// A tile's tally where some point is seen and some is not.
+/// A tile's tally where all points are seen.
+const SEEN: u32 = 1;
+
+/// Where some point is seen and some is not.
 const DIFFERENT: u32 = 3;
 
 /// Points that are looked up first, one near each corner.
@@ -320,7 +324,10 @@ impl Cascaded {
 impl Technique for Built {
     fn render(&self, frame: &Frame, light: &AreaLight) -> Result<LightImage> {
         let rows = u64::from(frame.receivers.size[1]);
-        let Some(view) = LightView::new(&self.gpu, frame, light)? else {
+        let which =
+            if self.parameters.refine == Refine::All { light_view::Work::All } else { light_view::Work::Shadowed };
+        let view = LightView::in_chunks(&self.gpu, frame, light, size_of::<GpuReceiver>() as u64, which)?;
+        let Some(view) = view else {
             frame.progress.advance(rows)?;
             return Ok(LightView::image(None, frame, light, |_, _, _| (0.0, 0.0)));
         };
@@ -463,6 +470,13 @@ impl<'a> Work<'a> {
         if boxes.is_empty() {
             return Ok(());
         }
+        // Maps hold all receivers, so that what is not looked up changes no texel of theirs.
+        let lit = by_tile(&self.view.lit, self.frame.receivers.size[0]);
+        let bounds_of = |(_, range): (u32, Range<u32>)| -> Bounds {
+            let lit = &self.view.lit[range.start as usize..range.end as usize];
+            lit.iter().filter(|&&pixel| self.share(number, pixel).is_some()).map(|&pixel| self.on_gpu(pixel)).collect()
+        };
+        boxes.par_extend(lit.into_par_iter().map(bounds_of).filter(|bounds| !bounds.is_empty()));
         let emitter = &self.view.emitter;
         let place = |square| MapPoint { position: emitter.at(on_domain(emitter.domain, square)), weight: 1.0 };
         let mut points: Vec<MapPoint> = self.parameters.places(number).into_iter().map(place).collect();
@@ -497,21 +511,33 @@ impl<'a> Work<'a> {
         Ok(())
     }
 
+    /// The receiver at a pixel.
+    fn receiver(&self, pixel: u32) -> &Receiver {
+        self.frame.receivers.pixels[pixel as usize].as_ref().expect("only hits face the light")
+    }
+
+    /// Where the receiver at a pixel is.
+    fn on_gpu(&self, pixel: u32) -> DVec3 {
+        (self.receiver(pixel).position - self.view.space.origin) / self.view.space.unit
+    }
+
+    /// How much of the receiver at a pixel a split has, if any.
+    fn share(&self, split: usize, pixel: u32) -> Option<f32> {
+        let shares = shares(&self.planes, self.parameters.blend, self.receiver(pixel).depth);
+        shares.into_iter().find(|&(other, share)| other == split && share > 0.0).map(|(_, share)| share)
+    }
+
     /// The receivers of a chunk that are in a split, and their bounds by tile.
     fn part(&self, number: usize, chunk: &Chunk) -> Result<(Part, Vec<Bounds>)> {
         let gpu = self.view.gpu;
-        let space = &self.view.space;
         let in_tile = |(tile, range): &(u32, Range<u32>)| {
             let mut bounds = Bounds::EMPTY;
             let mut members = Vec::new();
             for receiver in range.clone() {
-                let pixel = chunk.pixels[receiver as usize] as usize;
-                let seen = self.frame.receivers.pixels[pixel].as_ref().expect("only hits face the light");
-                let shares = shares(&self.planes, self.parameters.blend, seen.depth);
-                let own = shares.into_iter().find(|&(split, share)| split == number && share > 0.0);
-                if let Some((_, weight)) = own {
+                let pixel = chunk.pixels[receiver as usize];
+                if let Some(weight) = self.share(number, pixel) {
                     members.push(Member { receiver, weight });
-                    let at = (seen.position - space.origin) / space.unit;
+                    let at = self.on_gpu(pixel);
                     bounds = bounds.union(Bounds { min: at, max: at });
                 }
             }
@@ -595,15 +621,16 @@ impl<'a> Work<'a> {
         let tallies = |split: &Split| self.view.gpu.read_buffer::<[u32; 2]>(&split.tallies);
         let tallies: Vec<Vec<[u32; 2]>> = splits.iter().map(tallies).collect::<Result<_>>()?;
         let mut states = vec![0; self.tiles() as usize];
+        for tile in self.view.lit_tiles() {
+            states[tile as usize] = SEEN;
+        }
         for tallies in &tallies {
             for (state, [own, _]) in states.iter_mut().zip(tallies) {
                 *state |= own;
             }
         }
         let columns = self.job().tile_columns;
-        let seen = |tile: u32| {
-            around([tile], columns, self.tiles()).into_iter().fold(0, |all, tile| all | states[tile as usize])
-        };
+        let seen = |tile: u32| around(tile, columns, self.tiles()).fold(0, |all, tile| all | states[tile as usize]);
         let in_penumbra: Vec<bool> = (0..self.tiles()).map(|tile| seen(tile) == DIFFERENT).collect();
         let mut refined = Vec::new();
         for (split, tallies) in splits.iter().zip(&tallies) {
@@ -626,13 +653,16 @@ impl<'a> Work<'a> {
         let gpu = self.view.gpu;
         let storage = wgpu::BufferUsages::STORAGE;
         let size = self.frame.receivers.size;
-        let shown = gpu.empty_buffer("what neighbours see", 16 * u64::from(size[0]) * u64::from(size[1]), storage)?;
         let tile_gaps = gpu.empty_buffer("blockers by tile", 8 * u64::from(self.tiles()), storage)?;
-        let screen = match self.frame.shot {
+        let (screen, shown) = match self.frame.shot {
             Some(shot) => {
-                gpu.buffer("screen", &[Screen::new(shot, size, self.view, SAME_SURFACE)], wgpu::BufferUsages::UNIFORM)?
+                let screen = Screen::new(shot, size, self.view, SAME_SURFACE);
+                (gpu.buffer("screen", &[screen], wgpu::BufferUsages::UNIFORM)?, screen.show_lit(self.frame, self.view)?)
             }
-            None => gpu.empty_buffer("screen", size_of::<Screen>() as u64, wgpu::BufferUsages::UNIFORM)?,
+            None => (
+                gpu.empty_buffer("screen", size_of::<Screen>() as u64, wgpu::BufferUsages::UNIFORM)?,
+                gpu.empty_buffer("what is seen", 16 * u64::from(size[0]) * u64::from(size[1]), storage)?,
+            ),
         };
         let mut frame = gpu::pass::Frame::new(gpu);
         for (split, refined) in self.splits.iter().zip(refined) {

@@ -49,7 +49,7 @@ use crate::geometry::shaft::Shaft;
 use crate::geometry::surface::Surface;
 use crate::gpu::Gpu;
 use crate::gpu::center_map::emitter_of;
-use crate::gpu::light_view::{Chunk, LightView, TILE, WORKGROUP, fraction_above};
+use crate::gpu::light_view::{self, Chunk, LightView, TILE, WORKGROUP, fraction_above};
 use crate::gpu::pass::Frame as GpuFrame;
 use crate::gpu::shader::Pipeline;
 use crate::gpu_struct;
@@ -170,7 +170,7 @@ impl Technique for Built {
         let gpu = &*self.gpu;
         // Between portions, each receiver has its sum and its points' counts.
         let bytes = size_of::<Sum>() as u64 + 4 * u64::from(self.parameters.points);
-        let Some(view) = LightView::in_chunks(gpu, frame, light, bytes)? else {
+        let Some(view) = LightView::in_chunks(gpu, frame, light, bytes, light_view::Work::All)? else {
             frame.progress.advance(u64::from(frame.receivers.size[1]))?;
             return Ok(LightView::image(None, frame, light, |_, _, _| (0.0, 0.0)));
         };
@@ -291,7 +291,7 @@ impl Casters {
                 .bind("sheets", &sheets)
                 .bind("outline", &outline)
                 .dispatch(groups(edges.len()));
-            finish(recorded, "outline", passes)?;
+            add_passes(passes, recorded.finish()?);
         }
         frame.progress.check()?;
         let start = Instant::now();
@@ -356,15 +356,6 @@ fn note(passes: &mut Vec<Pass>, name: &'static str, start: Instant) {
     add_passes(passes, vec![Pass { name, ms: ms_since(start) }]);
 }
 
-/// Runs what was recorded and notes how long it took by the clock: software GPUs take all timestamps of a frame without render passes
-/// at its end.
-fn finish(recorded: GpuFrame, name: &'static str, passes: &mut Vec<Pass>) -> Result<()> {
-    let start = Instant::now();
-    recorded.finish()?;
-    note(passes, name, start);
-    Ok(())
-}
-
 /// Workgroups for so many invocations.
 fn groups(count: usize) -> [u32; 3] {
     let all = (count as u32).div_ceil(WORKGROUP);
@@ -418,7 +409,7 @@ impl Work<'_> {
 
         let layers = self.pipeline("count_layers");
         self.each_list(&self.casters.sheets, &self.tiles(chunk, true), passes, |lists, passes| {
-            self.each_portion(lists, MOST_ROUNDS, ("sheets", passes), |recorded, portion, groups| {
+            self.each_portion(lists, MOST_ROUNDS, passes, |recorded, portion, groups| {
                 recorded
                     .compute("sheets", &layers)
                     .bind("portion", portion)
@@ -441,7 +432,7 @@ impl Work<'_> {
             // Where one portion is all, nothing is kept.
             let kept = if lists.longest > rounds { 4 * u64::from(points) * count } else { 16 };
             let kept_layers = gpu.empty_buffer("counts of points", kept.max(16), storage)?;
-            self.each_portion(lists, rounds, ("visibility", passes), |recorded, portion, groups| {
+            self.each_portion(lists, rounds, passes, |recorded, portion, groups| {
                 let pass = recorded
                     .compute("visibility", &cover)
                     .bind("portion", portion)
@@ -561,7 +552,7 @@ impl Work<'_> {
                     .bind("counts", &counts)
                     .bind("totals", &totals)
                     .dispatch([(tiles.len() as u32).div_ceil(WORKGROUP), 1, 1]);
-                finish(recorded, "tiles", passes)?;
+                add_passes(passes, recorded.finish()?);
                 let totals: Vec<u32> = gpu.read_buffer(&totals)?;
                 for (tile, total) in data.iter_mut().zip(totals) {
                     tile.count = total;
@@ -587,7 +578,7 @@ impl Work<'_> {
                         .bind("counts", &counts)
                         .bind("listed", &listed_items)
                         .dispatch([(chunks as u32).div_ceil(WORKGROUP), range.len() as u32, 1]);
-                    finish(recorded, "tiles", passes)?;
+                    add_passes(passes, recorded.finish()?);
                 }
                 work(&Listed { items, tiles: &lists, listed: &listed_items, longest, range }, passes)?;
                 self.frame.progress.check()?;
@@ -606,7 +597,7 @@ impl Work<'_> {
         &self,
         lists: &Listed,
         most: u32,
-        (name, passes): (&'static str, &mut Vec<Pass>),
+        passes: &mut Vec<Pass>,
         mut record: impl FnMut(&mut GpuFrame, &wgpu::Buffer, [u32; 3]),
     ) -> Result<()> {
         let portions = lists.longest.div_ceil(most).max(1);
@@ -620,7 +611,7 @@ impl Work<'_> {
             let portion = self.portion(portion)?;
             let mut recorded = GpuFrame::new(self.view.gpu);
             record(&mut recorded, &portion, [lists.range.len() as u32, TILE * TILE / WORKGROUP, 1]);
-            finish(recorded, name, passes)?;
+            add_passes(passes, recorded.finish()?);
             self.frame.progress.check()?;
         }
         Ok(())
