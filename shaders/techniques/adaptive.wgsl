@@ -233,14 +233,20 @@ fn sum(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index)
     }
     let receiver = receivers[id];
     var sum = vec4(0.0);
+    var word = 0u;
     for (var i = 0u; i < arrayLength(&places); i++) {
+        if (i % 4u == 0u) {
+            word = planes[i / 4u * arrayLength(&receivers) + id];
+        }
+        let found = word & 255u;
+        word >>= 8u;
         let place = places[i];
         let to = select(place.position - receiver.position, place.position, job.distant == 1u);
         if (dot(receiver.normal, to) <= 0.0) {
             continue;
         }
         let all = weighed(receiver, job.normal, to, place.weight);
-        let share = f32(kept(i, id)) / f32(kernel * kernel);
+        let share = f32(found) / f32(kernel * kernel);
         sum += vec4(share * all, all);
     }
     sums[id] = sum;
