@@ -9,7 +9,7 @@ from typing import Any
 import bpy
 import numpy as np
 
-from . import glb, lights
+from . import glb, lights, textures
 
 # What Blender evaluates to a mesh.
 _MESH_LIKE = {"MESH", "CURVE", "SURFACE", "FONT", "META"}
@@ -17,7 +17,6 @@ _MESH_LIKE = {"MESH", "CURVE", "SURFACE", "FONT", "META"}
 _WITHOUT_SURFACE = {"ARMATURE", "CAMERA", "EMPTY", "LATTICE", "LIGHT", "LIGHT_PROBE", "LIGHTPROBE", "SPEAKER"}
 # The binary shortens a light's name that is longer than 232 bytes; `#2` and so on are to fit too.
 _MAX_LIGHT_NAME_BYTES = 200
-_DEFAULT_COLOR = (0.8, 0.8, 0.8)
 
 
 class ExtractError(ValueError):
@@ -65,30 +64,6 @@ def view_camera(window_matrix: Any, view_matrix: Any, *, is_perspective: bool, n
     return glb.Camera(world_from_camera @ back, near=0.0, far=2.0 * far, half_height=slope)
 
 
-def _base_color(material: bpy.types.Material | None, warnings: list[str]) -> tuple[float, float, float]:
-    """Linear colour of the diffuse surface that stands for a material."""
-    if material is None:
-        return _DEFAULT_COLOR
-    # Always on from Blender 5 on, where asking is deprecated.
-    has_nodes = bpy.app.version >= (5, 0, 0) or material.use_nodes
-    tree = material.node_tree if has_nodes else None
-    if tree is None:
-        return tuple(material.diffuse_color)[:3]
-    output = tree.get_output_node("CYCLES") or tree.get_output_node("ALL")
-    links = output.inputs["Surface"].links if output else ()
-    shader = links[0].from_node if links else None
-    socket = (
-        next((s for s in shader.inputs if s.name in {"Base Color", "Color"} and s.type == "RGBA"), None) if shader else None
-    )
-    if socket is None:
-        warnings.append(f"material {material.name!r}: no base colour is found; its viewport colour is used")
-        return tuple(material.diffuse_color)[:3]
-    if socket.is_linked:
-        warnings.append(f"material {material.name!r}: its base colour comes from nodes; its viewport colour is used")
-        return tuple(material.diffuse_color)[:3]
-    return tuple(socket.default_value)[:3]
-
-
 def _read(collection: Any, name: str, shape: tuple[int, ...], dtype: Any) -> np.ndarray:
     values = np.empty(int(np.prod(shape)), dtype)
     collection.foreach_get(name, values)
@@ -131,8 +106,21 @@ def _triangle_materials(mesh: bpy.types.Mesh, count: int) -> np.ndarray:
     return _read(mesh.loop_triangles, "material_index", (count,), np.int32)
 
 
-def _mesh_arrays(mesh: bpy.types.Mesh, slots: list[int]) -> glb.Mesh | None:
-    """Triangles, vertices and normals of an evaluated mesh; none where it has no face. `slots`: material of each slot."""
+def _uv_map(mesh: bpy.types.Mesh, name: str) -> np.ndarray:
+    """(corners, 2), with the image's first row at v = 0, as glTF has it; zeros where there is no such map, as in Cycles."""
+    layer = mesh.uv_layers.get(name) if name else next((layer for layer in mesh.uv_layers if layer.active_render), None)
+    if layer is None:
+        return np.zeros((len(mesh.loops), 2), np.float32)
+    is_attribute = hasattr(layer, "uv")
+    uv = _read(layer.uv if is_attribute else layer.data, "vector" if is_attribute else "uv", (len(mesh.loops), 2), np.float32)
+    uv[:, 1] = 1.0 - uv[:, 1]
+    return uv
+
+
+def _mesh_arrays(mesh: bpy.types.Mesh, slots: list[int], uv_maps: set[str]) -> glb.Mesh | None:
+    """Triangles, vertices and normals of an evaluated mesh; none where it has no face. `slots`: material of each slot.
+    `uv_maps`: those that they need.
+    """
     mesh.calc_loop_triangles()
     count = len(mesh.loop_triangles)
     if count == 0:
@@ -149,9 +137,15 @@ def _mesh_arrays(mesh: bpy.types.Mesh, slots: list[int]) -> glb.Mesh | None:
     normals = None
     if domain == "POINT":
         normals = _read(mesh.vertex_normals, "vector", (len(mesh.vertices), 3), np.float32)
-    elif domain == "CORNER":
+    uvs = {}
+    if domain == "CORNER" or uv_maps:
+        # A vertex for each corner of each triangle.
         corners = _read(mesh.loop_triangles, "loops", (count * 3,), np.int32)
-        normals = _corner_normals(mesh)[corners]
+        if domain == "CORNER":
+            normals = _corner_normals(mesh)[corners]
+        elif normals is not None:
+            normals = normals[triangles.reshape(-1)]
+        uvs = {name: _uv_map(mesh, name)[corners] for name in sorted(uv_maps)}
         positions = positions[triangles.reshape(-1)]
         triangles = np.arange(3 * count, dtype=np.int32).reshape(-1, 3)
     if normals is not None:
@@ -163,7 +157,7 @@ def _mesh_arrays(mesh: bpy.types.Mesh, slots: list[int]) -> glb.Mesh | None:
         triangles = triangles[order]
         used, first, counts = np.unique(by_triangle[order], return_index=True, return_counts=True)
         parts = [(int(f), int(c), slots[slot]) for slot, f, c in zip(used, first, counts)]
-    return glb.Mesh(positions, np.ascontiguousarray(triangles, np.uint32), normals, parts)
+    return glb.Mesh(positions, np.ascontiguousarray(triangles, np.uint32), normals, uvs, parts)
 
 
 def _positions(mesh: bpy.types.Mesh) -> np.ndarray:
@@ -190,6 +184,7 @@ class _Extraction:
         self.scene = glb.Scene()
         self.mesh_of: dict[tuple, int | None] = {}
         self.material_of: dict[int, int] = {}
+        self.materials = textures.Reader(self.scene.warnings)
         self.shadowless: set[str] = set()
         self.light_objects: list[bpy.types.Object] = []
 
@@ -197,8 +192,7 @@ class _Extraction:
         key = material.as_pointer() if material else 0
         if key not in self.material_of:
             self.material_of[key] = len(self.scene.materials)
-            name = material.name if material else "default"
-            self.scene.materials.append((name, _base_color(material, self.scene.warnings)))
+            self.scene.materials.append(self.materials.material(material))
         return self.material_of[key]
 
     def mesh(self, instance_object: bpy.types.Object) -> int | None:
@@ -210,7 +204,9 @@ class _Extraction:
         key = (data.as_pointer(), owner, tuple(slots))
         if key not in self.mesh_of:
             mesh = data if is_mesh else instance_object.to_mesh()
-            arrays = _mesh_arrays(mesh, slots) if mesh is not None else None
+            materials = [self.scene.materials[slot] for slot in slots]
+            uv_maps = {material.uv_map for material in materials if material.image is not None}
+            arrays = _mesh_arrays(mesh, slots, uv_maps) if mesh is not None else None
             if not is_mesh:
                 instance_object.to_mesh_clear()
             self.mesh_of[key] = None if arrays is None else len(self.scene.meshes)

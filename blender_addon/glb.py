@@ -8,7 +8,9 @@ that vertices are written as they are.
 from __future__ import annotations
 
 import json
+import math
 import struct
+import zlib
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -21,6 +23,8 @@ from . import lights
 FILE_FROM_BLENDER = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
 
 _FLOAT, _UINT = 5126, 5125
+_LINEAR, _NEAREST = 9729, 9728
+_WRAPS = {"REPEAT": 10497, "CLAMP_TO_EDGE": 33071, "MIRRORED_REPEAT": 33648}
 _ARRAY_BUFFER, _ELEMENT_ARRAY_BUFFER = 34962, 34963
 # More copies of a mesh than this go into one node (EXT_mesh_gpu_instancing): JSON for each would cost more than the geometry.
 _COPIES_AS_NODES = 64
@@ -37,7 +41,33 @@ class Mesh:
     positions: np.ndarray  # (vertices, 3) float32
     triangles: np.ndarray  # (triangles, 3) uint32
     normals: np.ndarray | None = None  # (vertices, 3) float32; none: flat
+    uvs: dict[str, np.ndarray] = field(default_factory=dict)  # by name of the UV map: (vertices, 2) float32
     parts: list[tuple[int, int, int]] = field(default_factory=list)  # first triangle, count, material
+
+
+@dataclass(eq=False)
+class Image:
+    """A texture's image: a PNG or JPEG file, or where it is, or texels, (height, width, 4) uint8 with the top row first."""
+
+    file: bytes | Path | None = None
+    rgba: np.ndarray | None = None
+
+
+@dataclass
+class Material:
+    """A Lambertian surface: linear colour, times that of its image; cut out where alpha is below the cut-off."""
+
+    name: str
+    color: tuple[float, float, float]
+    alpha: float = 1.0
+    cutoff: float | None = None  # none: opaque
+    image: Image | None = None
+    uv_map: str = ""  # where the image is; "": the one that renders
+    moved: tuple[tuple[float, float], float, tuple[float, float]] | None = (
+        None  # Blender's location, angle, scale of coordinates
+    )
+    wrap: str = "REPEAT"
+    is_smooth: bool = True
 
 
 @dataclass
@@ -71,13 +101,13 @@ class Camera:
 
 @dataclass
 class Scene:
-    """What is rendered. Materials: name and linear base colour."""
+    """What is rendered."""
 
     meshes: list[Mesh] = field(default_factory=list)
     copies: list[Copy] = field(default_factory=list)
     lights: list[Light] = field(default_factory=list)
     cameras: list[Camera] = field(default_factory=list)
-    materials: list[tuple[str, tuple[float, float, float]]] = field(default_factory=list)
+    materials: list[Material] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
 
     @property
@@ -126,6 +156,14 @@ class _Buffer:
         self.accessors.append(accessor)
         self.length += array.nbytes
         return len(self.accessors) - 1
+
+    def add_bytes(self, data: bytes) -> int:
+        """Index of the view of a file's bytes."""
+        padded = np.frombuffer(data + b"\0" * (-len(data) % 4), np.uint8)
+        self.views.append({"buffer": 0, "byteOffset": self.length, "byteLength": len(data)})
+        self.arrays.append(padded)
+        self.length += padded.nbytes
+        return len(self.views) - 1
 
 
 def _matrix(world_from_local: np.ndarray) -> list[float]:
@@ -194,6 +232,74 @@ def _camera(camera: Camera, aspect: float) -> dict[str, Any]:
     return {"type": "orthographic", "orthographic": lens}
 
 
+def _png(rgba: np.ndarray) -> bytes:
+    """Texels as a PNG file."""
+    height, width, _ = rgba.shape
+    # Each row begins with its filter: none.
+    rows = np.zeros((height, 1 + 4 * width), np.uint8)
+    rows[:, 1:] = rgba.reshape(height, -1)
+
+    def chunk(kind: bytes, data: bytes) -> bytes:
+        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+
+    header = struct.pack(">IIBBBBB", width, height, 8, 6, 0, 0, 0)
+    pixels = zlib.compress(rows.tobytes(), 1)
+    return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", pixels) + chunk(b"IEND", b"")
+
+
+class _Materials:
+    """Materials as the file has them, with each image once."""
+
+    def __init__(self, buffer: _Buffer, extensions: set[str]) -> None:
+        self.buffer = buffer
+        self.extensions = extensions
+        self.images: list[dict[str, Any]] = []
+        self.samplers: list[dict[str, Any]] = []
+        self.textures: list[dict[str, Any]] = []
+        self.image_of: dict[int, int] = {}
+
+    def add(self, material: Material) -> dict[str, Any]:
+        """The file's material."""
+        pbr = {"baseColorFactor": [*material.color, material.alpha], "metallicFactor": 0.0}
+        made: dict[str, Any] = {"name": material.name, "pbrMetallicRoughness": pbr}
+        if material.cutoff is not None:
+            made |= {"alphaMode": "MASK", "alphaCutoff": material.cutoff}
+        if material.image is not None:
+            pbr["baseColorTexture"] = self._texture(material)
+        return made
+
+    def _texture(self, material: Material) -> dict[str, Any]:
+        wrap, closest = _WRAPS[material.wrap], _LINEAR if material.is_smooth else _NEAREST
+        sampler = {"magFilter": closest, "minFilter": closest, "wrapS": wrap, "wrapT": wrap}
+        texture = {"sampler": _index(self.samplers, sampler), "source": self._image(material.image)}
+        info: dict[str, Any] = {"index": _index(self.textures, texture)}
+        if material.moved is not None:
+            (x, y), angle, (scale_x, scale_y) = material.moved
+            # Blender's v points up, glTF's down, with 1 - v in its place before and after.
+            offset = [x - math.sin(angle) * scale_y, 1.0 - y - math.cos(angle) * scale_y]
+            info["extensions"] = {
+                "KHR_texture_transform": {"offset": offset, "rotation": angle, "scale": [scale_x, scale_y]},
+            }
+            self.extensions.add("KHR_texture_transform")
+        return info
+
+    def _image(self, image: Image) -> int:
+        if id(image) not in self.image_of:
+            data = _png(image.rgba) if image.rgba is not None else image.file
+            data = data.read_bytes() if isinstance(data, Path) else data
+            kind = "image/png" if data.startswith(b"\x89PNG") else "image/jpeg"
+            self.image_of[id(image)] = len(self.images)
+            self.images.append({"bufferView": self.buffer.add_bytes(data), "mimeType": kind})
+        return self.image_of[id(image)]
+
+
+def _index(entries: list[dict[str, Any]], entry: dict[str, Any]) -> int:
+    """Where an entry is in a list, to which it is added where it isn't."""
+    if entry not in entries:
+        entries.append(entry)
+    return entries.index(entry)
+
+
 def write(path: Path, scene: Scene, *, aspect: float) -> None:
     """Writes the scene as a .glb. `aspect`: width over height of the image."""
     buffer = _Buffer()
@@ -203,12 +309,18 @@ def write(path: Path, scene: Scene, *, aspect: float) -> None:
         attributes = {"POSITION": buffer.add(mesh.positions, kind="VEC3", target=_ARRAY_BUFFER, bounds=True)}
         if mesh.normals is not None:
             attributes["NORMAL"] = buffer.add(mesh.normals, kind="VEC3", target=_ARRAY_BUFFER)
+        coordinates = {name: buffer.add(uv, kind="VEC2", target=_ARRAY_BUFFER) for name, uv in mesh.uvs.items()}
         primitives = []
         for first, count, material in mesh.parts:
             indices = mesh.triangles[first : first + count].reshape(-1)
             accessor = buffer.add(indices, kind="SCALAR", target=_ELEMENT_ARRAY_BUFFER)
-            primitives.append({"attributes": attributes, "indices": accessor, "material": material})
+            own = attributes
+            if scene.materials[material].image is not None:
+                own = attributes | {"TEXCOORD_0": coordinates[scene.materials[material].uv_map]}
+            primitives.append({"attributes": own, "indices": accessor, "material": material})
         meshes.append({"primitives": primitives})
+    materials = _Materials(buffer, extensions)
+    made_materials = [materials.add(material) for material in scene.materials]
     nodes = _copy_nodes(scene, buffer, extensions)
     area_lights = []
     for light in scene.lights:
@@ -229,10 +341,10 @@ def write(path: Path, scene: Scene, *, aspect: float) -> None:
         "scenes": [{"nodes": list(range(len(nodes)))}],
         "nodes": nodes,
         "meshes": meshes,
-        "materials": [
-            {"name": name, "pbrMetallicRoughness": {"baseColorFactor": [*color, 1.0], "metallicFactor": 0.0}}
-            for name, color in scene.materials
-        ],
+        "materials": made_materials,
+        "textures": materials.textures,
+        "samplers": materials.samplers,
+        "images": materials.images,
         "cameras": [_camera(camera, aspect) for camera in scene.cameras],
         "accessors": buffer.accessors,
         "bufferViews": buffer.views,
