@@ -314,6 +314,27 @@ fn pcss_leaks_past_a_wall_beside_a_wide_light() {
 }
 
 #[test]
+fn what_lies_behind_a_receiver_at_a_grazing_angle_hides_nothing_from_it() {
+    // A wall whose plane passes just beside the light's centre: elsewhere in a kernel that plane is far below the floor, which is
+    // before it but hides nothing.
+    let scene = scene(
+        vec![mesh(&quad([-9.0, 9.0], 0.0, [-9.0, 9.0])), mesh(&wall(-0.05, [0.0, 1.0], [-1.0, 1.0]))],
+        vec![square_light(0.5, 5.0)],
+    );
+    let on_wall: Vec<DVec3> = (0..50).map(|i| DVec3::new(-0.05, 0.1 + 0.016 * f64::from(i), 0.3)).collect();
+    let on_wall = || receivers(&scene, &on_wall, DVec3::X);
+    let truth = exact(&scene, &on_wall()).swap_remove(0);
+    for settings in ["pcss", "pcss dense=true", "temporal frames=1", "temporal frames=1 seed=1", "temporal frames=4"] {
+        let (name, settings) = settings.split_once(' ').unwrap_or((settings, ""));
+        let found = draw_receivers(&scene, on_wall(), technique(name, settings).as_ref()).swap_remove(0);
+        for (v, truth) in found.visibility.iter().zip(&truth) {
+            assert!((0.5..0.6).contains(&truth.visibility));
+            assert!((f64::from(*v) - truth.visibility).abs() < 1e-6, "{name} {settings}: {v} for {}", truth.visibility);
+        }
+    }
+}
+
+#[test]
 fn a_sphere_light_in_a_room_lights_the_walls_and_nothing_in_a_box() {
     // Receivers on all six walls and in a box: faces of a cube, none of them special.
     let room = closed_box(DVec3::ZERO, 4.0);

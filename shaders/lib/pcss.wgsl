@@ -48,8 +48,10 @@ fn tap(light_point: LightPoint, receiver: Receiver, uv: vec2<f32>, reach: f32) -
     let at = texel_center(face, texel);
     let stored = textureLoad(shadow_depth, texel, index, 0);
     var found: Tap;
-    found.blocked = stored > max(unblocked_depth(face, seen, at), 0.0);
     found.gap = gap_of(face, at, stored, receiver.position);
+    // A plane seen at a grazing angle is far beyond the receiver elsewhere in the kernel: what lies between blocks nothing either.
+    let own = own_depth(face, seen.view, MOST_SHIFT_TEXELS * face.texel * seen.view.z);
+    found.blocked = stored > max(unblocked_depth(face, seen, at), max(own, 0.0));
     return found;
 }
 
@@ -66,18 +68,33 @@ fn side(light_point: LightPoint, position: vec3<f32>, half_axis: vec3<f32>, reac
     return clamp(ceil(2.0 * reach * length(half_axis) / texel), 1.0, MOST_TEXELS);
 }
 
-/// What a place of a kernel adds to its sums. A point of the light below the horizon is blocked, by nothing that has a depth.
-fn sums_of(light_point: LightPoint, receiver: Receiver, uv: vec2<f32>, reach: f32) -> vec4<f32> {
+/// Sums over a kernel.
+struct Sums {
+    taps: f32,
+    /// Of all taps, and their gaps.
+    blockers: f32,
+    gaps: f32,
+    /// Taps at points of the light above the receiver's horizon, and those of them that are blocked.
+    above: f32,
+    hidden: f32,
+}
+
+/// Adds what a place of a kernel finds.
+fn add_tap(sums: ptr<function, Sums>, light_point: LightPoint, receiver: Receiver, uv: vec2<f32>, reach: f32) {
     let found = tap(light_point, receiver, uv, reach);
     let on_light = emitter.center + uv.x * emitter.half_u + uv.y * emitter.half_v;
     let to = select(on_light - receiver.position, on_light, emitter.distant == 1u);
     let blocked = select(0.0, 1.0, found.blocked);
-    return vec4(1.0, blocked, blocked * found.gap, select(1.0, blocked, dot(receiver.normal, to) > 0.0));
+    let above = select(0.0, 1.0, dot(receiver.normal, to) > 0.0);
+    (*sums).taps += 1.0;
+    (*sums).blockers += blocked;
+    (*sums).gaps += blocked * found.gap;
+    (*sums).above += above;
+    (*sums).hidden += above * blocked;
 }
 
-/// Sums over a kernel: taps, blockers, their gaps, and taps that see nothing of the light.
-fn kernel(light_point: LightPoint, receiver: Receiver, reach: f32, taps: u32, columns: u32, seed: u32) -> vec4<f32> {
-    var sums = vec4(0.0);
+fn kernel(light_point: LightPoint, receiver: Receiver, reach: f32, taps: u32, columns: u32, seed: u32) -> Sums {
+    var sums = Sums();
     if (dense) {
         let columns = side(light_point, receiver.position, emitter.half_u, reach);
         let rows = side(light_point, receiver.position, emitter.half_v, reach);
@@ -87,16 +104,16 @@ fn kernel(light_point: LightPoint, receiver: Receiver, reach: f32, taps: u32, co
                 if (emitter.domain == 1u && dot(uv, uv) > 1.0) {
                     continue;
                 }
-                sums += sums_of(light_point, receiver, uv, reach);
+                add_tap(&sums, light_point, receiver, uv, reach);
             }
         }
         return sums;
     }
-    let sampler = sampler_of(pattern, vec2(columns, taps / columns), receiver.number, seed);
+    let sampler = sampler_of(pattern, vec2(columns, max(taps / columns, 1u)), receiver.number, seed);
     for (var i = 0u; i < taps; i++) {
         let square = unit_square(sampler, i);
         let uv = select(2.0 * square - 1.0, disk_from_square(square), emitter.domain == 1u);
-        sums += sums_of(light_point, receiver, uv, reach);
+        add_tap(&sums, light_point, receiver, uv, reach);
     }
     return sums;
 }
@@ -104,6 +121,8 @@ fn kernel(light_point: LightPoint, receiver: Receiver, reach: f32, taps: u32, co
 /// What a receiver sees of the light.
 struct Penumbra {
     visibility: f32,
+    /// What is hidden of the part of the light that is above its horizon.
+    occlusion: f32,
     /// Mean of the blockers' gaps; 0 without any.
     gap: f32,
     /// Blockers found by the search.
@@ -113,17 +132,33 @@ struct Penumbra {
 }
 
 fn percentage_closer(light_point: LightPoint, receiver: Receiver) -> Penumbra {
+    return percentage_closer_from(light_point, receiver, -1.0);
+}
+
+/// Where the blockers' mean gap is known already, if it is not below 0: they are not searched for then, and half of the taps do beside
+/// what else is known.
+fn percentage_closer_from(light_point: LightPoint, receiver: Receiver, known_gap: f32) -> Penumbra {
     let distant = emitter.distant == 1u;
     // How far the receiver is from the light's plane, and beyond the nearest caster.
     let depth = dot(emitter.normal, receiver.position - emitter.center);
     let beyond = max(dot(emitter.normal, receiver.position) - emitter.nearest, 0.0);
     let search = select(select(1.0 - near, min(beyond / depth, 1.0 - near), depth > 0.0), (1.0 - near) * beyond, distant);
-    let blockers = kernel(light_point, receiver, search, search_taps, search_columns, 0u);
-    if (blockers.y == 0.0) {
-        return Penumbra(1.0, 0.0, 0.0, u32(blockers.x));
+    let taps = select(search_taps, 0u, known_gap >= 0.0);
+    let blockers = kernel(light_point, receiver, search, taps, search_columns, 0u);
+    if (known_gap < 0.0 && blockers.blockers == 0.0) {
+        return Penumbra(1.0, 0.0, 0.0, 0.0, u32(blockers.taps));
     }
-    let gap = max(blockers.z / blockers.y, 0.0);
+    let gap = select(max(blockers.gaps / blockers.blockers, 0.0), known_gap, known_gap >= 0.0);
     let reach = select(min(gap / depth, 1.0 - near), gap, distant);
-    let filtered = kernel(light_point, receiver, reach, filter_taps, filter_columns, 1u);
-    return Penumbra(1.0 - filtered.w / filtered.x, gap, blockers.y, u32(blockers.x + filtered.x));
+    let kept = select(filter_taps, (filter_taps + 1u) / 2u, known_gap >= 0.0);
+    let filtered = kernel(light_point, receiver, reach, kept, filter_columns, 1u);
+    // What is below the horizon is blocked, by nothing that has a depth.
+    let unseen = filtered.taps - filtered.above + filtered.hidden;
+    return Penumbra(
+        1.0 - unseen / filtered.taps,
+        select(filtered.hidden / filtered.above, 0.0, filtered.above == 0.0),
+        gap,
+        blockers.blockers,
+        u32(blockers.taps + filtered.taps),
+    );
 }

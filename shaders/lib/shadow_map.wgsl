@@ -128,6 +128,14 @@ fn unblocked_depth(face: Face, seen: OnFace, at: vec2<f32>) -> f32 {
     return select(select(depth, 0.0, tilt <= -1.0), 1.0e30, passes_light(face, seen));
 }
 
+/// Depth in the map of what is so far behind a receiver, which the face may not see: then beyond all.
+fn own_depth(face: Face, view: InView, behind: f32) -> f32 {
+    if (face.distant == 1u) {
+        return face.depth_scale * (face.far - view.along - behind);
+    }
+    return select(0.0, face.depth_scale * (face.far - view.along - behind) / (view.z + behind), view.z > 0.0);
+}
+
 /// Whether the map holds something between the light point and a receiver at a texel.
 fn is_blocked(face: Face, layer: u32, seen: OnFace, texel: vec2<i32>) -> bool {
     let stored = textureLoad(shadow_depth, texel, layer, 0);

@@ -5,7 +5,7 @@
 #import "lib/pcss.wgsl"
 #import "lib/screen.wgsl"
 
-/// 1 − ψ as it is shown.
+/// What is seen of the part of the light that is above a receiver's horizon: 1 − ψ as it is shown.
 @group(0) @binding(4) var<storage, read_write> visibility: array<f32>;
 /// What the frame before has left and what this one leaves, by pixel: `Past` in words.
 @group(0) @binding(6) var<storage, read> history: array<u32>;
@@ -14,6 +14,12 @@
 @group(0) @binding(10) var<storage, read> arrivals: array<Arrival>;
 /// The moving casters alone, as the faces see them.
 @group(0) @binding(12) var moving_depth: texture_depth_2d_array;
+/// Receivers that begin with this frame, after how many there are; twin of nothing: what `accumulate` leaves to `begin`.
+@group(0) @binding(13) var<storage, read_write> beginning: array<atomic<u32>>;
+/// Receivers, by index, that moving casters may shadow.
+@group(0) @binding(14) var<storage, read> reached: array<u32>;
+/// Receivers from which nothing can hide any of the light.
+@group(0) @binding(15) var<storage, read> lit: array<Lit>;
 
 /// What happens from one frame to the next. Twin of `Step` in `techniques/temporal.rs`.
 struct Step {
@@ -23,7 +29,8 @@ struct Step {
     most: f32,
     /// Lengths of the frame before in this one's unit.
     rescale: f32,
-    padding: u32,
+    /// Whether the maps reach as far as kernels do, so that PCSS may begin with them.
+    is_wide: u32,
     /// Of the frame before, pixels.
     size: vec2<u32>,
     /// How far depths of one surface may differ: times the depth, and at any depth.
@@ -40,6 +47,16 @@ struct Arrival {
     motion: vec3<f32>,
     /// Its depth there.
     depth: f32,
+}
+
+/// A receiver that sees the whole light. Twin of `Lit` in `techniques/temporal.rs`.
+struct Lit {
+    /// Of its pixel.
+    number: u32,
+    instance: u32,
+    depth: f32,
+    /// Frames so far.
+    count: f32,
 }
 
 override start_weight: f32;
@@ -81,71 +98,108 @@ fn words() -> u32 {
     return select(8u, 5u, half_floats);
 }
 
+/// What tells whether a pixel's surface is the receiver's, and its tests: the first words of a past.
+struct Brief {
+    shadowed: f32,
+    count: f32,
+    depth: f32,
+    instance: u32,
+}
+
+fn brief_of(first: vec4<u32>) -> Brief {
+    if (half_floats) {
+        let tests = unpack2x16float(first.x);
+        return Brief(tests.x, tests.y, unpack2x16float(first.y).x, first.z);
+    }
+    return Brief(bitcast<f32>(first.x), bitcast<f32>(first.y), bitcast<f32>(first.z), first.w);
+}
+
+/// A past of its first words, and of those that follow.
+fn past_from(first: vec4<u32>, rest: vec4<u32>) -> Past {
+    let brief = brief_of(first);
+    if (half_floats) {
+        let blockers = unpack2x16float(first.w);
+        let seed = unpack2x16float(rest.x);
+        return Past(brief.shadowed, brief.count, blockers.x, blockers.y, seed.x, seed.y, brief.depth, brief.instance);
+    }
+    let others = bitcast<vec4<f32>>(rest);
+    return Past(brief.shadowed, brief.count, others.x, others.y, others.z, others.w, brief.depth, brief.instance);
+}
+
+fn stored_brief(number: u32) -> Brief {
+    let i = number * words();
+    return brief_of(vec4(history[i], history[i + 1u], history[i + 2u], history[i + 3u]));
+}
+
+/// What a pixel of the frame before has left.
 fn stored(number: u32) -> Past {
     let i = number * words();
+    let first = vec4(history[i], history[i + 1u], history[i + 2u], history[i + 3u]);
     if (half_floats) {
-        let a = unpack2x16float(history[i]);
-        let b = unpack2x16float(history[i + 1u]);
-        let c = unpack2x16float(history[i + 2u]);
-        let d = unpack2x16float(history[i + 3u]);
-        return Past(a.x, a.y, b.x, b.y, c.x, c.y, d.x, history[i + 4u]);
+        return past_from(first, vec4(history[i + 4u], 0u, 0u, 0u));
     }
-    return Past(
-        bitcast<f32>(history[i]),
-        bitcast<f32>(history[i + 1u]),
-        bitcast<f32>(history[i + 2u]),
-        bitcast<f32>(history[i + 3u]),
-        bitcast<f32>(history[i + 4u]),
-        bitcast<f32>(history[i + 5u]),
-        bitcast<f32>(history[i + 6u]),
-        history[i + 7u],
-    );
+    return past_from(first, vec4(history[i + 4u], history[i + 5u], history[i + 6u], history[i + 7u]));
+}
+
+/// What a pixel leaves so far.
+fn left(number: u32) -> Past {
+    let i = number * words();
+    let first = vec4(next_history[i], next_history[i + 1u], next_history[i + 2u], next_history[i + 3u]);
+    if (half_floats) {
+        return past_from(first, vec4(next_history[i + 4u], 0u, 0u, 0u));
+    }
+    return past_from(first, vec4(next_history[i + 4u], next_history[i + 5u], next_history[i + 6u], next_history[i + 7u]));
 }
 
 fn store(number: u32, past: Past) {
     let i = number * words();
     if (half_floats) {
         next_history[i] = pack2x16float(vec2(past.shadowed, past.count));
-        next_history[i + 1u] = pack2x16float(vec2(past.gap, past.blockers));
-        next_history[i + 2u] = pack2x16float(vec2(past.seed, past.seed_weight));
-        next_history[i + 3u] = pack2x16float(vec2(past.depth, 0.0));
-        next_history[i + 4u] = past.instance;
+        next_history[i + 1u] = pack2x16float(vec2(past.depth, 0.0));
+        next_history[i + 2u] = past.instance;
+        next_history[i + 3u] = pack2x16float(vec2(past.gap, past.blockers));
+        next_history[i + 4u] = pack2x16float(vec2(past.seed, past.seed_weight));
         return;
     }
     next_history[i] = bitcast<u32>(past.shadowed);
     next_history[i + 1u] = bitcast<u32>(past.count);
-    next_history[i + 2u] = bitcast<u32>(past.gap);
-    next_history[i + 3u] = bitcast<u32>(past.blockers);
-    next_history[i + 4u] = bitcast<u32>(past.seed);
-    next_history[i + 5u] = bitcast<u32>(past.seed_weight);
-    next_history[i + 6u] = bitcast<u32>(past.depth);
-    next_history[i + 7u] = past.instance;
+    next_history[i + 2u] = bitcast<u32>(past.depth);
+    next_history[i + 3u] = past.instance;
+    next_history[i + 4u] = bitcast<u32>(past.gap);
+    next_history[i + 5u] = bitcast<u32>(past.blockers);
+    next_history[i + 6u] = bitcast<u32>(past.seed);
+    next_history[i + 7u] = bitcast<u32>(past.seed_weight);
 }
 
-/// What is stored at a pixel of the frame before, if it is of the receiver's surface: its plane, as deep as that is there.
-fn stored_of(arrival: Arrival, receiver: Receiver, pixel: vec2<i32>) -> Past {
+/// The number of a pixel of the frame before, or none.
+fn past_number(pixel: vec2<i32>) -> i32 {
     if (any(pixel < vec2(0)) || any(pixel >= vec2<i32>(step.size))) {
-        return NO_PAST;
+        return -1;
     }
-    var past = stored(u32(pixel.y) * step.size.x + u32(pixel.x));
-    if (past.count == 0.0) {
-        return NO_PAST;
-    }
-    if (printed) {
-        // Eq. 4: |d_k − d_{k−1}| < ε, with d_k as it is now.
-        let depth = depth_of(receiver.position);
-        let is_same = abs(depth - past.depth * step.rescale) < step.past_tolerance.x * depth + step.past_tolerance.y;
-        if (!is_same) {
-            return NO_PAST;
-        }
-        return past;
-    }
+    return pixel.y * i32(step.size.x) + pixel.x;
+}
+
+/// Whether what is stored at a pixel of the frame before is of the receiver's surface: its plane, as deep as that is there.
+fn is_own(arrival: Arrival, receiver: Receiver, pixel: vec2<i32>, past: Brief) -> bool {
     let along = dot(arrival.slope, vec2<f32>(pixel) + 0.5 - arrival.at_px);
     let depth = select(arrival.depth / (1.0 + along), arrival.depth + along, screen.orthographic == 1u);
     let is_near = abs(depth - past.depth) <= step.past_tolerance.x * depth + step.past_tolerance.y;
-    if (!is_near || past.instance != receiver.instance + 1u) {
+    return is_near && past.count > 0.0 && past.instance == receiver.instance + 1u;
+}
+
+/// The past at the nearest pixel, by Eq. 4: |d_k − d_{k−1}| < ε, with d_k as it is now.
+fn past_as_printed(arrival: Arrival, receiver: Receiver) -> Past {
+    let number = past_number(vec2<i32>(floor(arrival.at_px)));
+    if (number < 0) {
         return NO_PAST;
     }
+    var past = stored(u32(number));
+    let depth = depth_of(receiver.position);
+    let is_same = abs(depth - past.depth * step.rescale) < step.past_tolerance.x * depth + step.past_tolerance.y;
+    if (past.count == 0.0 || !is_same) {
+        return NO_PAST;
+    }
+    past.gap *= step.rescale;
     return past;
 }
 
@@ -161,50 +215,58 @@ fn cubic(t: f32) -> vec4<f32> {
     );
 }
 
+/// A receiver's past as it is fetched.
+struct Fetched {
+    past: Past,
+    /// Least and largest share of tests in shadow around it.
+    shares: vec2<f32>,
+    /// Samples that it may hold.
+    most: f32,
+}
+
 /// What is known of a receiver from the frames before, in this frame's unit. A light without size asks nothing of it: one test
 /// tells all.
-fn past_of(index: u32, receiver: Receiver) -> Past {
+fn past_of(index: u32, receiver: Receiver) -> Fetched {
     if (step.source == 0u || emitter.domain == 2u) {
-        return NO_PAST;
+        return Fetched(NO_PAST, vec2(0.0), MOST_SAMPLES);
     }
     if (step.source == 1u) {
         var past = stored(receiver.number);
         past.gap *= step.rescale;
-        return past;
+        return Fetched(past, vec2(0.0), MOST_SAMPLES);
     }
     let arrival = arrivals[index];
     if (printed) {
-        var past = stored_of(arrival, receiver, vec2<i32>(floor(arrival.at_px)));
-        past.gap *= step.rescale;
-        return past;
+        return Fetched(past_as_printed(arrival, receiver), vec2(0.0), MOST_SAMPLES);
     }
     let corner = floor(arrival.at_px - 0.5);
     let between = arrival.at_px - 0.5 - corner;
-    let linear_x = vec4(0.0, 1.0 - between.x, between.x, 0.0);
-    let linear_y = vec4(0.0, 1.0 - between.y, between.y, 0.0);
+    let linear_x = vec2(1.0 - between.x, between.x);
+    let linear_y = vec2(1.0 - between.y, between.y);
     let cubic_x = cubic(between.x);
     let cubic_y = cubic(between.y);
     var sum = NO_PAST;
     var whole = 0.0;
     var shares = 0.0;
+    var range = vec2(1.0, 0.0);
     var is_whole = true;
-    for (var i = 0u; i < 16u; i++) {
-        let offset = vec2(i & 3u, i >> 2u);
-        let cubic_weight = cubic_x[offset.x] * cubic_y[offset.y];
-        if (cubic_weight == 0.0) {
-            continue;
-        }
-        let past = stored_of(arrival, receiver, vec2<i32>(corner) + vec2<i32>(offset) - 1);
-        if (past.count == 0.0) {
-            is_whole = false;
-            continue;
-        }
-        let share = past.shadowed / past.count;
-        shares += cubic_weight * share;
+    // The four around it.
+    for (var i = 0u; i < 4u; i++) {
+        let offset = vec2(i & 1u, i >> 1u);
         let weight = linear_x[offset.x] * linear_y[offset.y];
         if (weight == 0.0) {
             continue;
         }
+        let pixel = vec2<i32>(corner) + vec2<i32>(offset);
+        let number = past_number(pixel);
+        let past = stored(u32(max(number, 0)));
+        if (number < 0 || !is_own(arrival, receiver, pixel, Brief(past.shadowed, past.count, past.depth, past.instance))) {
+            is_whole = false;
+            continue;
+        }
+        let share = past.shadowed / past.count;
+        shares += cubic_x[offset.x + 1u] * cubic_y[offset.y + 1u] * share;
+        range = vec2(min(range.x, share), max(range.y, share));
         whole += weight;
         sum.shadowed += weight * past.shadowed;
         sum.count += weight * past.count;
@@ -213,9 +275,27 @@ fn past_of(index: u32, receiver: Receiver) -> Past {
         sum.seed += weight * past.seed_weight * past.seed;
         sum.seed_weight += weight * past.seed_weight;
     }
+    // The twelve around these.
+    for (var i = 0u; i < 12u; i++) {
+        let offset = select(vec2(3u * (i & 1u), 1u + ((i >> 1u) & 1u)), vec2(i & 3u, 3u * ((i >> 2u) & 1u)), i < 8u);
+        let cubic_weight = cubic_x[offset.x] * cubic_y[offset.y];
+        if (cubic_weight == 0.0) {
+            continue;
+        }
+        let pixel = vec2<i32>(corner) + vec2<i32>(offset) - 1;
+        let number = past_number(pixel);
+        let past = stored_brief(u32(max(number, 0)));
+        if (number < 0 || !is_own(arrival, receiver, pixel, past)) {
+            is_whole = false;
+            continue;
+        }
+        let share = past.shadowed / past.count;
+        shares += cubic_weight * share;
+        range = vec2(min(range.x, share), max(range.y, share));
+    }
     // Past the border of what was seen the nearest pixels would be drawn along, a little farther each frame.
     if (whole < 0.999) {
-        return NO_PAST;
+        return Fetched(NO_PAST, vec2(0.0), MOST_SAMPLES);
     }
     sum.count /= whole;
     // Linear weights blur a little more each frame, cubic ones keep edges; where one of the pixels is not of this surface there are
@@ -225,7 +305,8 @@ fn past_of(index: u32, receiver: Receiver) -> Past {
     sum.blockers /= whole;
     sum.seed = select(sum.seed / sum.seed_weight, 0.0, sum.seed_weight == 0.0);
     sum.seed_weight /= whole;
-    return aged(sum, receiver, arrival.motion);
+    let most = min(most_aged(sum, receiver, arrival.motion), most_resampled(sum, receiver, between));
+    return Fetched(limited(sum, most), range, most);
 }
 
 /// Penumbra widths by which the shadow of what is `gap` before a receiver moves across it when it moves, relative to the light.
@@ -251,18 +332,36 @@ fn most_samples(shift: f32) -> f32 {
     return max(pow(0.75 / (shift * shift), 2.0 / 7.0), 1.0);
 }
 
-/// A past whose shadows have moved is worth less.
-fn aged(past: Past, receiver: Receiver, motion: vec3<f32>) -> Past {
+/// A past whose shadows have moved is worth less: samples that it may hold.
+fn most_aged(past: Past, receiver: Receiver, motion: vec3<f32>) -> f32 {
     if (!aging) {
-        return past;
+        return MOST_SAMPLES;
     }
-    var most = step.most;
     if (any(motion != vec3(0.0))) {
         // Where no blocker is known there is no telling how near a shadow is.
-        most = min(most, select(most_samples(shift_of(past.gap, receiver, motion)), 0.0, past.blockers == 0.0));
+        return min(step.most, select(most_samples(shift_of(past.gap, receiver, motion)), 0.0, past.blockers == 0.0));
     }
-    return limited(past, most);
+    return step.most;
 }
+
+/// Samples that a past may hold that is fetched from `between` pixels: what is a few of them wide is blurred a little more by each
+/// fetch.
+fn most_resampled(past: Past, receiver: Receiver, between: vec2<f32>) -> f32 {
+    // Where no blocker is known there is no penumbra.
+    if (!aging || past.blockers == 0.0 || all(min(between, 1.0 - between) < vec2(1.0e-3))) {
+        return MOST_SAMPLES;
+    }
+    let light_size = 2.0 * min(length(emitter.half_u), length(emitter.half_v));
+    let depth = select(depth_of(receiver.position), 1.0, screen.orthographic == 1u);
+    let width_px = light_size * widening(past.gap, receiver.position) * screen.focal / depth;
+    return clamp(RESAMPLED * width_px * width_px * width_px, 1.0, MOST_SAMPLES);
+}
+
+/// By measurement, a cubed pixel.
+const RESAMPLED: f32 = 0.25;
+
+/// Where a past may hold no more samples than these, PCSS is begun anew in every frame.
+const MOST_REFRESHED: f32 = 8.0;
 
 fn limited(past: Past, most: f32) -> Past {
     let whole = past.count + past.seed_weight;
@@ -283,8 +382,8 @@ fn limited(past: Past, most: f32) -> Past {
 
 /// One test of a map.
 struct Test {
-    shadowed: bool,
-    /// Whether something in the map blocks, and not the horizon.
+    /// Whether its point of the light is above the receiver's horizon; what is below tells nothing of blockers.
+    above: bool,
     blocked: bool,
     /// Whether what blocks moves.
     moving: bool,
@@ -296,7 +395,7 @@ fn test_of(light_point: LightPoint, receiver: Receiver) -> Test {
     let face = faces[index];
     let to = to_light(light_point, receiver.position, face.distant == 1u);
     if (dot(receiver.normal, to) <= 0.0) {
-        return Test(true, false, false, 0.0);
+        return Test(false, false, false, 0.0);
     }
     let seen = on_face(face, receiver.position, receiver.normal);
     let texel = texel_at(face, seen.at);
@@ -305,17 +404,15 @@ fn test_of(light_point: LightPoint, receiver: Receiver) -> Test {
     let blocked = depth > max(unblocked_depth(face, seen, at), 0.0);
     // The same triangles through the same pipeline give the same depth, so the nearest moves if it is no nearer than what moves.
     let moving = resets && blocked && textureLoad(moving_depth, texel, index, 0) >= depth;
-    return Test(blocked, blocked, moving, gap_of(face, at, depth, receiver.position));
+    return Test(true, blocked, moving, gap_of(face, at, depth, receiver.position));
 }
 
-/// A receiver without past, by this frame's map alone.
-fn begun(light_point: LightPoint, receiver: Receiver) -> Past {
-    let found = percentage_closer(light_point, receiver);
-    count(found.texels);
+/// A receiver without past, by what PCSS finds in this frame's map.
+fn begun(found: Penumbra) -> Past {
     var past = NO_PAST;
     past.gap = found.gap;
     past.blockers = found.blockers;
-    past.seed = 1.0 - found.visibility;
+    past.seed = found.occlusion;
     past.seed_weight = start_weight;
     if (screen_disk) {
         // As the paper has it, PCSS counts as so many samples.
@@ -336,7 +433,7 @@ fn with_test(before: Past, test: Test) -> Past {
         past.seed_weight *= 0.5;
     }
     past.count += 1.0;
-    past.shadowed += select(0.0, 1.0, test.shadowed);
+    past.shadowed += select(0.0, 1.0, test.blocked);
     // Eq. 7 over what blocks; as it is printed it takes every depth, and drifts to the receiver's own.
     if (test.blocked || all_depths) {
         past.blockers = min(past.blockers + 1.0, MOST_SAMPLES);
@@ -363,31 +460,110 @@ fn as_stored(before: Past) -> Past {
     return past;
 }
 
+/// Adds the tests of the frames from the `first` on to a past, and leaves it to the next frame.
+fn finish(receiver: Receiver, before: Past, first: u32) {
+    var past = before;
+    var texels = 0u;
+    for (var i = first; i < arrayLength(&points); i++) {
+        let test = test_of(points[i], receiver);
+        if (!test.above) {
+            continue;
+        }
+        texels += 1u;
+        past = with_test(past, test);
+    }
+    count(texels);
+    leave(receiver, past);
+}
+
+fn leave(receiver: Receiver, before: Past) {
+    var past = before;
+    past.depth = depth_of(receiver.position);
+    past.instance = receiver.instance + 1u;
+    store(receiver.number, past);
+}
+
 @compute @workgroup_size(64)
 fn accumulate(@builtin(global_invocation_id) id: vec3<u32>) {
     if (id.x >= arrayLength(&receivers)) {
         return;
     }
     let receiver = receivers[id.x];
-    var past = past_of(id.x, receiver);
-    var texels = 0u;
-    for (var i = 0u; i < arrayLength(&points); i++) {
-        let light_point = points[i];
-        let test = test_of(light_point, receiver);
-        texels += 1u;
-        let begins = starts && emitter.domain != 2u && (past.count == 0.0 || test.moving);
-        if (begins) {
-            past = as_stored(begun(light_point, receiver));
-            if (past.count > 0.0) {
-                continue;
-            }
+    let fetched = past_of(id.x, receiver);
+    var past = fetched.past;
+    if (starts && step.is_wide == 1u && emitter.domain != 2u) {
+        // There is one map.
+        let test = test_of(points[0], receiver);
+        if (test.moving) {
+            past = NO_PAST;
         }
-        past = with_test(past, test);
+        let tested = select(0.0, 1.0, test.blocked);
+        let is_even = fetched.shares.x == tested && fetched.shares.y == tested;
+        if (test.above && (past.count == 0.0 || (fetched.most < MOST_REFRESHED && !is_even))) {
+            atomicStore(&beginning[1u + atomicAdd(&beginning[0], 1u)], id.x);
+            leave(receiver, past);
+            return;
+        }
     }
-    count(texels);
-    past.depth = depth_of(receiver.position);
-    past.instance = receiver.instance + 1u;
-    store(receiver.number, past);
+    finish(receiver, past, 0u);
+}
+
+/// A prime: multiples of it, modulo another number, are that number's remainders in another order.
+const SCATTER: u32 = 40507u;
+
+/// Receivers without past, or with little: PCSS takes so long that those who have one would wait for them.
+@compute @workgroup_size(64)
+fn begin(
+    @builtin(workgroup_id) group: vec3<u32>,
+    @builtin(num_workgroups) groups: vec3<u32>,
+    @builtin(local_invocation_index) local: u32,
+) {
+    // Few of the workgroups have work, and some drivers give each processor a row of them.
+    let place = 64u * (group.x * SCATTER % groups.x) + local;
+    if (place >= atomicLoad(&beginning[0])) {
+        return;
+    }
+    let receiver = receivers[atomicLoad(&beginning[1u + place])];
+    let before = left(receiver.number);
+    let has_past = before.count > 0.0;
+    let known_gap = select(-1.0, before.gap, has_past && before.blockers > 0.0);
+    let found = percentage_closer_from(points[0], receiver, known_gap);
+    count(found.texels);
+    var past = as_stored(begun(found));
+    if (has_past) {
+        past = before;
+        past.seed = found.occlusion;
+        past.seed_weight = start_weight;
+        past.gap = found.gap;
+        past.blockers = max(past.blockers, found.blockers);
+    }
+    // In the paper PCSS is this frame's test.
+    finish(receiver, past, select(0u, 1u, !has_past && past.count > 0.0));
+}
+
+/// Receivers that see the whole light, for those that come from there.
+@compute @workgroup_size(64)
+fn keep_lit(@builtin(global_invocation_id) id: vec3<u32>) {
+    if (id.x >= arrayLength(&lit)) {
+        return;
+    }
+    let own = lit[id.x];
+    var past = NO_PAST;
+    past.count = own.count;
+    past.depth = own.depth;
+    past.instance = own.instance + 1u;
+    store(own.number, as_stored(past));
+}
+
+/// What the moving casters alone leave of the light, by PCSS from its centre.
+@compute @workgroup_size(64)
+fn beside(@builtin(global_invocation_id) id: vec3<u32>) {
+    if (id.x >= arrayLength(&reached)) {
+        return;
+    }
+    let found = percentage_closer(points[0], receivers[reached[id.x]]);
+    count(found.texels);
+    visibility[id.x] = 1.0 - found.occlusion;
 }
 
 /// Standard error of the share of samples in shadow.
@@ -474,7 +650,7 @@ fn smoothed(receiver: Receiver, past: Past) -> Smoothed {
         if (!is_on_screen(pixel)) {
             continue;
         }
-        let tap = stored(u32(pixel.y) * screen.size.x + u32(pixel.x));
+        let tap = stored_brief(u32(pixel.y) * screen.size.x + u32(pixel.x));
         if (tap.count == 0.0) {
             continue;
         }
@@ -497,6 +673,11 @@ fn show(@builtin(global_invocation_id) id: vec3<u32>) {
     }
     let receiver = receivers[id.x];
     let past = stored(receiver.number);
+    if (past.count + past.seed_weight == 0.0) {
+        // No point of the light that it could see has been tested yet.
+        visibility[id.x] = 1.0;
+        return;
+    }
     var shown = Smoothed(past.shadowed / past.count, f32(TAPS));
     // Where no blocker is known there is no penumbra; a light without size has none.
     let has_penumbra = past.blockers > 0.0 && emitter.domain != 2u;

@@ -264,9 +264,8 @@ impl<'a> LightView<'a> {
         Bounds { min: (bounds.min - origin) / unit, max: (bounds.max - origin) / unit }
     }
 
-    /// By tile, whether in it something may hide some of the light from one of these receivers, sorted by tile: a caster in the hull of the tile's
-    /// receivers and the light, or a receiver's own tangent plane. All other receivers see it whole.
-    fn shadowed_tiles(&self, frame: &Frame, light: &AreaLight, numbers: &[u32]) -> Vec<bool> {
+    /// By tile, whether one of some casters may hide some of the light from its receivers: one in the hull of those and the light.
+    pub fn behind(&self, casters: &DrawList, frame: &Frame, light: &AreaLight) -> Vec<bool> {
         let [width, height] = frame.receivers.size;
         let columns = width.div_ceil(TILE);
         // Blocks of tiles first: most casters are nowhere near most tiles.
@@ -278,15 +277,26 @@ impl<'a> LightView<'a> {
                 .push((tile, bounds));
         }
         let blocks: Vec<_> = blocks.into_values().collect();
-        let behind_casters = blocks.par_iter().flat_map_iter(|tiles| {
+        let behind = blocks.par_iter().flat_map_iter(|tiles| {
             let shaft = self.shaft(light, &tiles.iter().map(|(_, bounds)| *bounds).fold(Bounds::EMPTY, Bounds::union));
-            let near: Vec<Bounds> = self.casters.parts().filter(|bounds| !shaft.holds_nothing_of(bounds)).collect();
+            let near: Vec<Bounds> = casters.parts().filter(|bounds| !shaft.holds_nothing_of(bounds)).collect();
             let is_behind = move |(_, bounds): &&(u32, Bounds)| {
                 let shaft = self.shaft(light, bounds);
                 near.iter().any(|caster| !shaft.holds_nothing_of(caster))
             };
             tiles.iter().filter(is_behind).map(|(tile, _)| *tile)
         });
+        let mut found = vec![false; (columns * height.div_ceil(TILE)) as usize];
+        for tile in behind.collect::<Vec<u32>>() {
+            found[tile as usize] = true;
+        }
+        found
+    }
+
+    /// By tile, whether in it something may hide some of the light from one of these receivers, sorted by tile: a caster, or a
+    /// receiver's own tangent plane. All other receivers see it whole.
+    fn shadowed_tiles(&self, frame: &Frame, light: &AreaLight, numbers: &[u32]) -> Vec<bool> {
+        let mut shadowed = self.behind(&self.casters, frame, light);
         let is_cut = |&number: &u32| {
             let receiver = frame.receivers.pixels[number as usize].as_ref().expect("only hits face the light");
             let Emitter { center, half_u, half_v, distant, .. } = self.emitter;
@@ -294,12 +304,12 @@ impl<'a> LightView<'a> {
             let normal = receiver.normal;
             normal.dot(center - from) < normal.dot(half_u).abs() + normal.dot(half_v).abs()
         };
-        let cut = by_tile(numbers, width)
+        let cut: Vec<u32> = by_tile(numbers, frame.receivers.size[0])
             .into_par_iter()
             .filter(|(_, range)| numbers[range.start as usize..range.end as usize].iter().any(is_cut))
-            .map(|(tile, _)| tile);
-        let mut shadowed = vec![false; (columns * height.div_ceil(TILE)) as usize];
-        for tile in behind_casters.chain(cut).collect::<Vec<u32>>() {
+            .map(|(tile, _)| tile)
+            .collect();
+        for tile in cut {
             shadowed[tile as usize] = true;
         }
         shadowed
@@ -398,7 +408,7 @@ pub fn seen_of(sums: [f32; 4], whole: f64) -> (f64, f64) {
 }
 
 /// How many receivers one buffer may hold, and one dispatch may take.
-fn most_receivers(gpu: &Gpu, bytes_a_receiver: u64) -> usize {
+pub fn most_receivers(gpu: &Gpu, bytes_a_receiver: u64) -> usize {
     let limits = gpu.device.limits();
     let bytes = limits.max_storage_buffer_binding_size.min(limits.max_buffer_size);
     let by_memory = (bytes / bytes_a_receiver.max(size_of::<GpuReceiver>() as u64)).max(1);

@@ -19,7 +19,11 @@
 //! - What moves resets all that it shadows. Here the history knows still casters alone, and a second map from the light's centre the
 //!   moving ones, by PCSS. The two shares are taken for independent. Where an instance stops or starts, what it may have shadowed is
 //!   begun anew.
-//! - Under moving lights, and on moving receivers, older samples count less.
+//! - Under moving lights, on moving receivers, and where a penumbra a few pixels wide would be blurred by being fetched again and
+//!   again, older samples count less, and PCSS is begun anew in every frame.
+//! - What of the light is below a receiver's horizon is known: tests of points there are left out, and V is the share of the rest that
+//!   is seen, times the part of the light that is above.
+//! - Receivers that nothing can shadow, by the bounds of what casts shadows, take no part.
 
 use std::sync::Arc;
 
@@ -33,14 +37,14 @@ use super::{
     Context, Entry, Frame, LightImage, Linking, Needs, Parameters, Technique, add_passes, parse_parameters, schema_of,
 };
 use crate::Result;
+use crate::gpu::Gpu;
 use crate::gpu::center_map::{emitter_of, kernels};
-use crate::gpu::light_view::{LightView, WORKGROUP, fraction_above};
+use crate::gpu::light_view::{Chunk, GpuReceiver, LightView, WORKGROUP, Work, fraction_above, most_receivers};
 use crate::gpu::pass::Frame as GpuFrame;
 use crate::gpu::scene::DrawList;
 use crate::gpu::screen::{Screen, center_px, focal, is_orthographic, tolerance};
 use crate::gpu::shader::Pipeline;
 use crate::gpu::shadow_map::{self, Keep, MapPoint, RenderedMaps, ShadowMaps};
-use crate::gpu::{self, Gpu};
 use crate::gpu_struct;
 use crate::history::{Pose, Shot};
 use crate::receivers::Receiver;
@@ -109,7 +113,8 @@ pub struct Temporal {
     pub overscan: f64,
     /// What becomes of the shadows of what moves.
     pub moving: Moving,
-    /// Whether samples count less as the light or a receiver moves; a receiver's own motion with `reprojection=exact` alone.
+    /// Whether samples count less as the light or a receiver moves, and where penumbrae a few pixels wide are fetched from between
+    /// pixels, and PCSS begins anew there; the latter, and a receiver's own motion, with `reprojection=exact` alone.
     pub aging: bool,
     /// How the history is stored.
     pub history: Precision,
@@ -206,7 +211,7 @@ impl Default for Temporal {
             blockers: Blockers::Blocking,
             reprojection: Reprojection::Exact,
             epsilon: 0.005,
-            overscan: 0.05,
+            overscan: 0.0,
             moving: Moving::Apart,
             aging: true,
             history: Precision::Fp32,
@@ -222,7 +227,7 @@ gpu_struct! {
         pub source: u32,
         pub most: f32,
         pub rescale: f32,
-        pub padding: u32,
+        pub is_wide: u32,
         pub size: [u32; 2],
         pub past_tolerance: Vec2,
     }
@@ -237,6 +242,22 @@ gpu_struct! {
         pub depth: f32,
     }
 }
+
+gpu_struct! {
+    /// Twin of `Lit` in `techniques/temporal.wgsl`.
+    struct Lit {
+        pub number: u32,
+        pub instance: u32,
+        pub depth: f32,
+        pub count: f32,
+    }
+}
+
+/// Twin of that in the shader: the one count of workgroups that it does not scatter.
+const SCATTER: u32 = 40507;
+
+/// Samples that a receiver that sees the whole light is taken to have at most, as the shader halves those beyond.
+const MOST_LIT: u32 = 32_768;
 
 /// Where a receiver's past lies: [`Step::source`].
 const NOWHERE: u32 = 0;
@@ -284,7 +305,8 @@ struct Built {
 impl Technique for Built {
     fn render(&self, frame: &Frame, light: &AreaLight) -> Result<LightImage> {
         let gpu = &*self.gpu;
-        let Some(view) = LightView::new(gpu, frame, light)? else {
+        let bytes = size_of::<GpuReceiver>() as u64;
+        let Some(view) = LightView::in_chunks(gpu, frame, light, bytes, Work::Shadowed)? else {
             frame.progress.advance(u64::from(frame.receivers.size[1]))?;
             return Ok(LightView::image(None, frame, light, |_, _, _| (0.0, 0.0)));
         };
@@ -305,14 +327,18 @@ impl Technique for Built {
         let points = self.points(&view.emitter, first, history.is_some());
         let mut done = Done::new(gpu)?;
         let (mut past, mut step) = (past, change);
+        let mut frames = first;
         for points in maps.steps(&points) {
-            self.accumulate(&maps, frame, points, &step, [&mut past, &mut next], &mut done)?;
+            frames += points.len() as u32;
+            self.accumulate(&maps, frame, (points, frames), &step, [&mut past, &mut next], &mut done)?;
             step = Change { source: OWN_PIXEL, arrivals: Vec::new(), most: f64::INFINITY, rescale: 1.0, ..step };
         }
         let seen = self.shown(&view, frame, &past, &mut done)?;
         let beside = match &movers {
-            Some(movers) if self.parameters.moving == Moving::Apart => Some(self.beside(&view, movers, &mut done)?),
-            _ => None,
+            Some(movers) if self.parameters.moving == Moving::Apart => {
+                self.beside(&view, movers, (frame, light), &mut done)?
+            }
+            _ => Vec::new(),
         };
         if let (Some(history), Some(shot)) = (history, frame.shot) {
             let apart = if self.parameters.moving == Moving::Apart { moving } else { Vec::new() };
@@ -321,8 +347,8 @@ impl Technique for Built {
         }
         let image = LightView::image(Some(&view), frame, light, |chunk, i, receiver| {
             let emitter = light.emitter(receiver.position).expect("the light faces this receiver");
-            let beside = beside.as_ref().map_or(1.0, |beside| f64::from(beside[chunk][i]));
-            let seen = (f64::from(seen[chunk][i]) * beside).min(fraction_above(&emitter, receiver));
+            let beside = beside.get(chunk).map_or(1.0, |beside| beside[i]);
+            let seen = f64::from(seen[chunk][i] * beside) * fraction_above(&emitter, receiver);
             (seen, seen)
         });
         frame.progress.advance(u64::from(frame.receivers.size[1]))?;
@@ -412,9 +438,6 @@ impl Built {
             ],
         ]
         .concat();
-        if entry_point == "main" {
-            return self.gpu.compute_pipeline("techniques/pcss.wgsl", entry_point, &constants);
-        }
         let own = [
             ("start_weight", self.parameters.start_weight),
             ("starts", is(self.starts())),
@@ -488,7 +511,7 @@ impl Built {
                 let motion = (receiver.position - position) / view.space.unit;
                 Arrival { motion: motion.as_vec3(), ..screen.arrival(position, normal) }
             };
-            let of_chunk = |chunk: &gpu::light_view::Chunk| chunk.pixels.par_iter().map(arrival).collect();
+            let of_chunk = |chunk: &Chunk| chunk.pixels.par_iter().map(arrival).collect();
             (ARRIVALS, view.chunks.iter().map(of_chunk).collect())
         };
         let change = Change { source, arrivals, most, rescale, past_tolerance };
@@ -508,12 +531,12 @@ impl Built {
         (0..moving.len()).filter(has_turned).map(ball).collect()
     }
 
-    /// Adds the tests of some frames' maps; the buffers change places.
+    /// Adds the tests of some frames' maps, `frames` with them; the buffers change places.
     fn accumulate(
         &self,
         maps: &Maps,
         frame: &Frame,
-        points: &[MapPoint],
+        (points, frames): (&[MapPoint], u32),
         change: &Change,
         [past, next]: [&mut wgpu::Buffer; 2],
         done: &mut Done,
@@ -528,7 +551,7 @@ impl Built {
         let all = of(maps.casters, [size[0], u32::from(wide)])?;
         let resets = self.parameters.moving == Moving::Reset && maps.movers.is_some();
         let movers = maps.movers.filter(|_| resets).map(|movers| of(movers, [size[0], u32::from(wide)])).transpose()?;
-        let pipeline = self.pipeline("accumulate", resets);
+        let [accumulate, begin] = ["accumulate", "begin"].map(|entry_point| self.pipeline(entry_point, resets));
         let uniform = wgpu::BufferUsages::UNIFORM;
         let emitter = gpu.buffer("emitter", &[emitter_of(view)], uniform)?;
         let screen = gpu.buffer("screen", &[self.screen(view, frame)], uniform)?;
@@ -536,7 +559,7 @@ impl Built {
             source,
             most: change.most as f32,
             rescale: change.rescale as f32,
-            padding: 0,
+            is_wide: wide.into(),
             size: frame.receivers.size,
             past_tolerance: change.past_tolerance,
         };
@@ -548,13 +571,29 @@ impl Built {
                 gpu.buffer("arrivals", arrivals, wgpu::BufferUsages::STORAGE)
             })
             .collect::<Result<_>>()?;
+        let beginning: Vec<wgpu::Buffer> = view
+            .chunks
+            .iter()
+            .map(|chunk| if wide { 4 * (1 + chunk.pixels.len() as u64) } else { 4 })
+            .map(|bytes| gpu.empty_buffer("receivers that begin", bytes, wgpu::BufferUsages::STORAGE))
+            .collect::<Result<_>>()?;
+        let lit = self.lit(view, frame, frames)?;
+        let keep_lit = self.pipeline("keep_lit", false);
         let mut step = &first;
         let record = |recorded: &mut GpuFrame, maps: &RenderedMaps, moving: Option<&RenderedMaps>| {
             // What is not written holds no past.
             recorded.encoder().clear_buffer(next, 0, None);
-            for (chunk, arrivals) in view.chunks.iter().zip(&arrivals) {
+            for (count, lit) in &lit {
+                recorded.compute("history", &keep_lit).bind("lit", lit).bind("next_history", &*next).dispatch([
+                    count.div_ceil(WORKGROUP),
+                    1,
+                    1,
+                ]);
+            }
+            for ((chunk, arrivals), beginning) in view.chunks.iter().zip(&arrivals).zip(&beginning) {
+                let groups = [(chunk.pixels.len() as u32).div_ceil(WORKGROUP), 1, 1];
                 recorded
-                    .compute("history", &pipeline)
+                    .compute("history", &accumulate)
                     .bind("faces", &maps.faces)
                     .bind("points", &maps.points)
                     .bind("receivers", &chunk.buffer)
@@ -567,7 +606,23 @@ impl Built {
                     .bind("step", step)
                     .bind("arrivals", arrivals)
                     .bind("screen", &screen)
-                    .dispatch([(chunk.pixels.len() as u32).div_ceil(WORKGROUP), 1, 1]);
+                    .bind("beginning", beginning)
+                    .dispatch(groups);
+                if wide {
+                    recorded
+                        .compute("start", &begin)
+                        .bind("faces", &maps.faces)
+                        .bind("points", &maps.points)
+                        .bind("receivers", &chunk.buffer)
+                        .bind("shadow_depth", &maps.depth)
+                        .bind("moving_depth", &moving.unwrap_or(maps).depth)
+                        .bind("counted", &done.counter)
+                        .bind("emitter", &emitter)
+                        .bind("next_history", &*next)
+                        .bind("screen", &screen)
+                        .bind("beginning", beginning)
+                        .dispatch(if groups[0] == SCATTER { [SCATTER + 1, 1, 1] } else { groups });
+                }
             }
             std::mem::swap(past, next);
             step = &further;
@@ -605,27 +660,67 @@ impl Built {
         answers.iter().map(|answer| gpu.read_buffer(answer)).collect()
     }
 
-    /// What the moving casters alone leave of the light, by PCSS from its centre.
-    fn beside(&self, view: &LightView, movers: &DrawList, done: &mut Done) -> Result<Vec<Vec<f32>>> {
+    /// The receivers that see the whole light, in buffers, and how many there are in each.
+    fn lit(&self, view: &LightView, frame: &Frame, frames: u32) -> Result<Vec<(u32, wgpu::Buffer)>> {
+        let Some(shot) = frame.shot.filter(|_| !view.lit.is_empty()) else { return Ok(Vec::new()) };
+        let camera = &shot.camera.scene_from_camera;
+        let of = |&number: &u32| {
+            let receiver = frame.receivers.pixels[number as usize].as_ref().expect("only hits face the light");
+            let depth = -camera.matrix3.z_axis.dot(receiver.position - camera.translation) / view.space.unit;
+            Lit { number, instance: receiver.instance, depth: depth as f32, count: frames.min(MOST_LIT) as f32 }
+        };
+        let lit: Vec<Lit> = view.lit.par_iter().map(of).collect();
+        let most = most_receivers(&self.gpu, size_of::<Lit>() as u64);
+        lit.chunks(most)
+            .map(|lit| Ok((lit.len() as u32, self.gpu.buffer("lit receivers", lit, wgpu::BufferUsages::STORAGE)?)))
+            .collect()
+    }
+
+    /// What the moving casters alone leave of the light that is above the receivers' horizons, by PCSS from its centre: by chunk.
+    fn beside(
+        &self,
+        view: &LightView,
+        movers: &DrawList,
+        (frame, light): (&Frame, &AreaLight),
+        done: &mut Done,
+    ) -> Result<Vec<Vec<f32>>> {
         let gpu = &*self.gpu;
         let points = [MapPoint { position: view.emitter.center, weight: 1.0 }];
         let boxes = kernels(view, self.parameters.near);
         let maps = ShadowMaps::of(view, movers, &points, &boxes, [self.parameters.map_size, 1], Keep::One)?;
-        let pipeline = self.pipeline("main", false);
+        let pipeline = self.pipeline("beside", false);
         let emitter = gpu.buffer("emitter", &[emitter_of(view)], wgpu::BufferUsages::UNIFORM)?;
-        let answers = answers(gpu, view)?;
+        let is_reached = view.behind(movers, frame, light);
+        let reached: Vec<Vec<u32>> = view
+            .chunks
+            .iter()
+            .map(|chunk| {
+                let tiles = chunk.tiles.iter().filter(|(tile, _)| is_reached[*tile as usize]);
+                tiles.flat_map(|(_, range)| range.clone()).collect()
+            })
+            .collect();
+        let storage = wgpu::BufferUsages::STORAGE;
+        let buffers: Vec<[wgpu::Buffer; 2]> = reached
+            .iter()
+            .map(|reached| {
+                let answers = gpu.empty_buffer("visibility", 4 * reached.len() as u64, storage)?;
+                Ok([gpu.buffer("reached", reached, storage)?, answers])
+            })
+            .collect::<Result<_>>()?;
         let record = |recorded: &mut GpuFrame, maps: &RenderedMaps| {
-            for (chunk, answer) in view.chunks.iter().zip(&answers) {
+            let chunks = view.chunks.iter().zip(&reached).zip(&buffers).filter(|((_, reached), _)| !reached.is_empty());
+            for ((chunk, reached), [numbers, answers]) in chunks {
                 recorded
                     .compute("moving shadows", &pipeline)
                     .bind("faces", &maps.faces)
                     .bind("points", &maps.points)
                     .bind("receivers", &chunk.buffer)
                     .bind("shadow_depth", &maps.depth)
-                    .bind("visibility", answer)
+                    .bind("visibility", answers)
+                    .bind("reached", numbers)
                     .bind("counted", &done.counter)
                     .bind("emitter", &emitter)
-                    .dispatch([(chunk.pixels.len() as u32).div_ceil(WORKGROUP), 1, 1]);
+                    .dispatch([(reached.len() as u32).div_ceil(WORKGROUP), 1, 1]);
             }
         };
         let mut passes = Vec::new();
@@ -635,7 +730,16 @@ impl Built {
         })?;
         add_passes(&mut done.passes, passes);
         done.maps += maps.count;
-        answers.iter().map(|answer| gpu.read_buffer(answer)).collect()
+        let whole = |((chunk, reached), [_, answers]): ((&Chunk, &Vec<u32>), &[wgpu::Buffer; 2])| {
+            let mut all = vec![1.0; chunk.pixels.len()];
+            if !reached.is_empty() {
+                for (&i, seen) in reached.iter().zip(gpu.read_buffer::<f32>(answers)?) {
+                    all[i as usize] = seen;
+                }
+            }
+            Ok(all)
+        };
+        view.chunks.iter().zip(&reached).zip(&buffers).map(whole).collect()
     }
 
     /// The camera as shaders read it; one without pixels where there is none.
@@ -647,9 +751,7 @@ impl Built {
 
 /// Buffers for a value of each receiver, by chunk.
 fn answers(gpu: &Gpu, view: &LightView) -> Result<Vec<wgpu::Buffer>> {
-    let of = |chunk: &gpu::light_view::Chunk| {
-        gpu.empty_buffer("visibility", 4 * chunk.pixels.len() as u64, wgpu::BufferUsages::STORAGE)
-    };
+    let of = |chunk: &Chunk| gpu.empty_buffer("visibility", 4 * chunk.pixels.len() as u64, wgpu::BufferUsages::STORAGE);
     view.chunks.iter().map(of).collect()
 }
 
