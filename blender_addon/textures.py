@@ -14,6 +14,8 @@ from . import glb
 _DEFAULT_COLOR = (0.8, 0.8, 0.8)
 # What Blender stores as it is in files that glTF takes as they are.
 _MAGIC = {b"\x89PNG": "image/png", b"\xff\xd8\xff": "image/jpeg"}
+# Images that glTF can't have as they are go through numpy, with 16 bytes a texel.
+_MOST_TEXELS = 1 << 26
 _WRAPS = {"REPEAT": "REPEAT", "EXTEND": "CLAMP_TO_EDGE", "MIRROR": "MIRRORED_REPEAT"}
 
 
@@ -23,7 +25,7 @@ class _NotSupported(ValueError):
 
 def _source(socket: Any) -> Any:
     """The socket that feeds one, reroutes left out; none where nothing does."""
-    while socket is not None and socket.is_linked and socket.links:
+    while socket is not None and socket.is_linked and socket.links and not socket.links[0].is_muted:
         socket = socket.links[0].from_socket
         if socket.node.type != "REROUTE":
             return socket
@@ -115,6 +117,8 @@ def _file(image: bpy.types.Image) -> bytes | Path | None:
 def _pixels(image: bpy.types.Image) -> np.ndarray:
     """(height, width, 4), bottom row first, as stored."""
     width, height = image.size
+    if width * height > _MOST_TEXELS:
+        raise _NotSupported(f"image {image.name!r} is too large unless it is saved as PNG or JPEG, in sRGB")
     values = np.empty(width * height * 4, np.float32)
     image.pixels.foreach_get(values)
     return values.reshape(height, width, 4)
@@ -146,7 +150,7 @@ def _opacity(socket: Any) -> np.ndarray:
 def _cutoff(socket: Any) -> tuple[Any, float]:
     """The output of the image texture that an alpha comes from, and the value below which there is no surface."""
     source, cutoff = _source(socket), 0.5
-    if source.node.type == "MATH" and source.node.operation in {"GREATER_THAN", "ROUND"}:
+    if source is not None and source.node.type == "MATH" and source.node.operation in {"GREATER_THAN", "ROUND"}:
         math = source.node
         if math.operation == "GREATER_THAN":
             if math.inputs[1].is_linked:
@@ -156,6 +160,8 @@ def _cutoff(socket: Any) -> tuple[Any, float]:
     if source is None or source.node.type != "TEX_IMAGE":
         raise _NotSupported("its alpha comes from nodes")
     _check_image(source.node)
+    if source.name == "Alpha" and source.node.image.alpha_mode == "NONE":
+        raise _NotSupported(f"image {source.node.image.name!r} has its alpha turned off")
     return source, cutoff
 
 
@@ -201,6 +207,7 @@ class Reader:
             self._add_texture(made, image_output, alpha_output, cutoff)
         except _NotSupported as reason:
             self._warn(material, f"{reason}; its texture is left out")
+            made = glb.Material(material.name, tuple(material.diffuse_color)[:3])
         return made
 
     def _warn(self, material: bpy.types.Material, message: str) -> None:

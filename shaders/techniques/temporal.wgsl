@@ -14,7 +14,7 @@
 @group(0) @binding(10) var<storage, read> arrivals: array<Arrival>;
 /// The moving casters alone, as the faces see them.
 @group(0) @binding(12) var moving_depth: texture_depth_2d_array;
-/// Receivers that begin with this frame, after how many there are; twin of nothing: what `accumulate` leaves to `begin`.
+/// Receivers, by index, that `accumulate` leaves to `begin`, after how many there are.
 @group(0) @binding(13) var<storage, read_write> beginning: array<atomic<u32>>;
 /// Receivers, by index, that moving casters may shadow.
 @group(0) @binding(14) var<storage, read> reached: array<u32>;

@@ -196,11 +196,22 @@ def test_what_is_not_carried_over_is_told(scene, tmp_path, capfd):
     node = textured(glass, image("Clipped", random_colors()), extension="CLIP")
     glass.node_tree.links.new(node.outputs["Color"], glass_shader.inputs["Base Color"])
     scene.objects["Cube"].data.materials.append(glass)
+    loose, loose_shader = material("Loose")
+    reroute = loose.node_tree.nodes.new("NodeReroute")
+    loose.node_tree.links.new(reroute.outputs[0], loose_shader.inputs["Alpha"])
+    empty = textured(loose, image("Empty", random_colors()))
+    empty.image = None
+    muted = loose.node_tree.links.new(empty.outputs["Color"], loose_shader.inputs["Base Color"])
+    muted.is_muted = True
+    item = card(scene, left=-1.0, right=0.0)
+    item.data.materials.append(loose)
     assert bpy.ops.penumbra.preview() == {"FINISHED"}
     told = " ".join(sys.modules[f"{MODULE}.preview"].Preview.current.caption)
     for message in (
         "'Odd': its base colour comes from nodes; its viewport colour is used",
         "'Odd': its alpha comes from nodes; it is taken as opaque",
+        "'Loose': its base colour comes from nodes; its viewport colour is used",
+        "'Loose': its alpha comes from nodes; it is taken as opaque",
         "'Glass': transparency is not supported; it is taken as opaque",
         "'Glass': its texture's extension clip is not supported; its viewport colour is used",
     ):
