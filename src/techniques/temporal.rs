@@ -21,6 +21,7 @@
 //!   begun anew.
 //! - Under moving lights, on moving receivers, and where a penumbra a few pixels wide would be blurred by being fetched again and
 //!   again, older samples count less, and PCSS is begun anew in every frame.
+//! - While the camera moves the filter rests: what is fetched from between pixels has been averaged, and PCSS is smooth.
 //! - What of the light is below a receiver's horizon is known: tests of points there are left out, and V is the share of the rest that
 //!   is seen, times the part of the light that is above.
 //! - Receivers that nothing can shadow, by the bounds of what casts shadows, take no part.
@@ -94,7 +95,8 @@ pub struct Temporal {
     /// Where its search for blockers begins, as a fraction of the way from the light to the receiver.
     #[schemars(range(min = 0.001, max = 1))]
     pub near: f64,
-    /// Standard error above which neighbours are averaged; 1: none are.
+    /// Standard error above which neighbours are averaged; 1: none are. With `reprojection=exact` none are while the camera moves, when
+    /// being fetched from between pixels averages them.
     #[schemars(range(min = 0, max = 1))]
     pub threshold: f64,
     /// How the standard error is estimated.
@@ -289,6 +291,8 @@ struct Change {
     most: f64,
     rescale: f64,
     past_tolerance: Vec2,
+    /// Whether pixels are fetched from between those of a camera that was elsewhere, which averages them already.
+    is_resampled: bool,
 }
 
 fn build(context: &Context, given: &Parameters) -> Result<Box<dyn Technique>> {
@@ -326,6 +330,7 @@ impl Technique for Built {
 
         let points = self.points(&view.emitter, first, history.is_some());
         let mut done = Done::new(gpu)?;
+        let threshold = if change.is_resampled { 1.0 } else { self.parameters.threshold };
         let (mut past, mut step) = (past, change);
         let mut frames = first;
         for points in maps.steps(&points) {
@@ -333,7 +338,7 @@ impl Technique for Built {
             self.accumulate(&maps, frame, (points, frames), &step, [&mut past, &mut next], &mut done)?;
             step = Change { source: OWN_PIXEL, arrivals: Vec::new(), most: f64::INFINITY, rescale: 1.0, ..step };
         }
-        let seen = self.shown(&view, frame, &past, &mut done)?;
+        let seen = self.shown(&view, frame, &past, threshold, &mut done)?;
         let beside = match &movers {
             Some(movers) if self.parameters.moving == Moving::Apart => {
                 self.beside(&view, movers, (frame, light), &mut done)?
@@ -422,7 +427,7 @@ impl Built {
         self.parameters.start_weight > 0.0 || self.parameters.threshold < 1.0
     }
 
-    fn pipeline(&self, entry_point: &str, resets: bool) -> Arc<Pipeline<wgpu::ComputePipeline>> {
+    fn pipeline(&self, entry_point: &str, resets: bool, threshold: f64) -> Arc<Pipeline<wgpu::ComputePipeline>> {
         let Temporal { start_taps, near, .. } = self.parameters;
         let is = |condition: bool| f64::from(u8::from(condition));
         let constants = [
@@ -441,7 +446,7 @@ impl Built {
         let own = [
             ("start_weight", self.parameters.start_weight),
             ("starts", is(self.starts())),
-            ("threshold", self.parameters.threshold),
+            ("threshold", threshold),
             ("binomial", is(self.parameters.error == StandardError::Binomial)),
             ("screen_disk", is(self.parameters.kernel == Kernel::Disk)),
             ("all_depths", is(self.parameters.blockers == Blockers::All)),
@@ -476,6 +481,7 @@ impl Built {
             most: f64::INFINITY,
             rescale: 1.0,
             past_tolerance: Vec2::ZERO,
+            is_resampled: false,
         };
         let size = frame.receivers.size;
         let (Some(pose), Some(memory), Some(shot)) = (previous, kept, frame.shot) else {
@@ -491,7 +497,8 @@ impl Built {
         let camera = pose.camera_in(frame.scene);
         let past_tolerance = tolerance(&camera, self.parameters.epsilon, memory.unit);
         let turned = self.turned(frame, light, pose, &memory.apart, moving);
-        let is_still = moving.iter().all(|moving| !moving) && pose.has_camera(frame.scene, shot.camera, shot.size);
+        let has_camera = pose.has_camera(frame.scene, shot.camera, shot.size);
+        let is_still = moving.iter().all(|moving| !moving) && has_camera;
         let (source, arrivals) = if most < 1.0 {
             (NOWHERE, Vec::new())
         } else if is_still && turned.is_empty() && shift == 0.0 {
@@ -514,7 +521,8 @@ impl Built {
             let of_chunk = |chunk: &Chunk| chunk.pixels.par_iter().map(arrival).collect();
             (ARRIVALS, view.chunks.iter().map(of_chunk).collect())
         };
-        let change = Change { source, arrivals, most, rescale, past_tolerance };
+        let is_resampled = source == ARRIVALS && !has_camera && self.parameters.reprojection == Reprojection::Exact;
+        let change = Change { source, arrivals, most, rescale, past_tolerance, is_resampled };
         let frames = memory.frames % (u32::MAX - 1);
         Ok((change, memory.histories, frames))
     }
@@ -551,7 +559,7 @@ impl Built {
         let all = of(maps.casters, [size[0], u32::from(wide)])?;
         let resets = self.parameters.moving == Moving::Reset && maps.movers.is_some();
         let movers = maps.movers.filter(|_| resets).map(|movers| of(movers, [size[0], u32::from(wide)])).transpose()?;
-        let [accumulate, begin] = ["accumulate", "begin"].map(|entry_point| self.pipeline(entry_point, resets));
+        let [accumulate, begin] = ["accumulate", "begin"].map(|entry_point| self.pipeline(entry_point, resets, 1.0));
         let uniform = wgpu::BufferUsages::UNIFORM;
         let emitter = gpu.buffer("emitter", &[emitter_of(view)], uniform)?;
         let screen = gpu.buffer("screen", &[self.screen(view, frame)], uniform)?;
@@ -578,7 +586,7 @@ impl Built {
             .map(|bytes| gpu.empty_buffer("receivers that begin", bytes, wgpu::BufferUsages::STORAGE))
             .collect::<Result<_>>()?;
         let lit = self.lit(view, frame, frames)?;
-        let keep_lit = self.pipeline("keep_lit", false);
+        let keep_lit = self.pipeline("keep_lit", false, 1.0);
         let mut step = &first;
         let record = |recorded: &mut GpuFrame, maps: &RenderedMaps, moving: Option<&RenderedMaps>| {
             // What is not written holds no past.
@@ -638,9 +646,16 @@ impl Built {
     }
 
     /// 1 − ψ as it is shown, filtered where it is not known well, by chunk.
-    fn shown(&self, view: &LightView, frame: &Frame, history: &wgpu::Buffer, done: &mut Done) -> Result<Vec<Vec<f32>>> {
+    fn shown(
+        &self,
+        view: &LightView,
+        frame: &Frame,
+        history: &wgpu::Buffer,
+        threshold: f64,
+        done: &mut Done,
+    ) -> Result<Vec<Vec<f32>>> {
         let gpu = &*self.gpu;
-        let pipeline = self.pipeline("show", false);
+        let pipeline = self.pipeline("show", false, threshold);
         let uniform = wgpu::BufferUsages::UNIFORM;
         let emitter = gpu.buffer("emitter", &[emitter_of(view)], uniform)?;
         let screen = gpu.buffer("screen", &[self.screen(view, frame)], uniform)?;
@@ -688,7 +703,7 @@ impl Built {
         let points = [MapPoint { position: view.emitter.center, weight: 1.0 }];
         let boxes = kernels(view, self.parameters.near);
         let maps = ShadowMaps::of(view, movers, &points, &boxes, [self.parameters.map_size, 1], Keep::One)?;
-        let pipeline = self.pipeline("beside", false);
+        let pipeline = self.pipeline("beside", false, 1.0);
         let emitter = gpu.buffer("emitter", &[emitter_of(view)], wgpu::BufferUsages::UNIFORM)?;
         let is_reached = view.behind(movers, frame, light);
         let reached: Vec<Vec<u32>> = view
