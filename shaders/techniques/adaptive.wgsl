@@ -29,6 +29,10 @@
 @group(0) @binding(20) var<storage, read> sides: array<f32>;
 /// Of all points.
 @group(0) @binding(21) var<storage, read> places: array<Place>;
+/// Of each of the job's points: the point whose bytes stand for it where it is not looked up, or SEEN_WHOLE.
+@group(0) @binding(22) var<storage, read> inherited: array<u32>;
+/// Those to compare.
+@group(0) @binding(23) var<storage, read> cells: array<CellPoints>;
 /// Of each receiver: V and E/E₀ smoothed.
 @group(0) @binding(18) var<storage, read_write> smoothed: array<vec2<f32>>;
 
@@ -44,19 +48,25 @@ struct Job {
     /// Tiles a row, and in all.
     tile_columns: u32,
     tiles: u32,
-    /// Of the cell to compare, among those compared.
-    cell: u32,
     /// 1: the light is at infinity.
     distant: u32,
-    /// Points whose bytes stand for those that are not looked up, or SEEN_WHOLE; or those to compare: the first with the last, and
-    /// the others.
-    others: vec4<u32>,
+    padding: u32,
     /// The light's normal, along which depths are.
     normal: vec3<f32>,
     /// From a place's depth from the origin to that from the light.
     depth_offset: f32,
     /// The weight of all points, and whether the light's axes u and v are divided.
     counts: vec4<f32>,
+}
+
+/// Points of a cell to compare. Twin of `CellPoints` in `techniques/adaptive.rs`.
+struct CellPoints {
+    /// Its corners: the first with the last, and the others; or those around its middle.
+    others: vec4<u32>,
+    /// Its middle, or another of its points.
+    middle: u32,
+    padding: u32,
+    padding_2: vec2<u32>,
 }
 
 /// A point of the light: where it is, relative to the origin (its direction from a distant light), and what it counts. Twin of `Place`
@@ -123,21 +133,28 @@ fn receiver_in_tile(group: u32, lane: u32) -> u32 {
     return select(NO_RECEIVER, tile.x + place, place < tile.y);
 }
 
-/// Takes the job's points that the tiles do not need for what others are to their receivers.
+/// Takes the job's points for what others are to the tiles' receivers: those that are not looked up there stay so.
 @compute @workgroup_size(64)
 fn inherit(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
     let id = receiver_in_tile(group.x, lane);
     if (id == NO_RECEIVER) {
         return;
     }
-    var found = vec4(kernel * kernel);
-    for (var i = 0u; i < job.count; i++) {
-        let other = job.others[i];
-        if (other != SEEN_WHOLE) {
-            found[i] = kept(other, id);
+    let last = job.number + job.count;
+    for (var word = job.number / 4u; 4u * word < last; word++) {
+        let at = word * arrayLength(&receivers) + id;
+        var bytes = planes[at];
+        for (var i = 0u; i < 4u; i++) {
+            let point = 4u * word + i;
+            if (point >= job.number && point < last) {
+                let other = inherited[point - job.number];
+                let is_whole = other == SEEN_WHOLE;
+                let found = select(kept(select(other, 0u, is_whole), id), kernel * kernel, is_whole);
+                bytes = insertBits(bytes, found, 8u * i, 8u);
+            }
         }
+        planes[at] = bytes;
     }
-    keep(id, found, ~needed[group.x / 4u].z & ((1u << job.count) - 1u));
 }
 
 /// Looks the job's points up in the tiles that need them.
@@ -252,39 +269,45 @@ fn sum(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index)
     sums[id] = sum;
 }
 
-/// Counts, tile by tile, how much of a receiver some point of a cell or around it sees and another does not.
+/// Counts, tile by tile, how much of a receiver some point of each cell or around it sees and another does not.
 @compute @workgroup_size(64)
 fn compare_visibility(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
     let id = receiver_in_tile(group.x, lane);
     if (id == NO_RECEIVER) {
         return;
     }
-    var most = kept(job.number, id);
-    var least = most;
-    for (var i = 0u; i < 4u; i++) {
-        let seen = kept(job.others[i], id);
-        most = max(most, seen);
-        least = min(least, seen);
-    }
-    let spread = most - least;
-    if (spread > 0u) {
-        atomicAdd(&differences[2u * job.cell * job.tiles + tile_of(receivers[id].number)], spread);
+    let tile = tile_of(receivers[id].number);
+    for (var cell = 0u; cell < arrayLength(&cells); cell++) {
+        let points = cells[cell];
+        var most = kept(points.middle, id);
+        var least = most;
+        for (var i = 0u; i < 4u; i++) {
+            let seen = kept(points.others[i], id);
+            most = max(most, seen);
+            least = min(least, seen);
+        }
+        if (most > least) {
+            atomicAdd(&differences[2u * cell * job.tiles + tile], most - least);
+        }
     }
 }
 
-/// Counts, tile by tile and for either diagonal of a cell, where its ends see different depths.
+/// Counts, tile by tile and for either diagonal of each cell, where its ends see different depths.
 @compute @workgroup_size(64)
 fn compare_depths(@builtin(global_invocation_id) id: vec3<u32>) {
     if (id.x >= arrayLength(&receivers)) {
         return;
     }
-    let first = 2u * job.cell * job.tiles + tile_of(receivers[id.x].number);
-    let at = job.others * arrayLength(&receivers) + id.x;
-    if (differ(depths[at.x], depths[at.w])) {
-        atomicAdd(&differences[first], 1u);
-    }
-    if (differ(depths[at.y], depths[at.z])) {
-        atomicAdd(&differences[first + job.tiles], 1u);
+    let tile = tile_of(receivers[id.x].number);
+    for (var cell = 0u; cell < arrayLength(&cells); cell++) {
+        let first = 2u * cell * job.tiles + tile;
+        let at = cells[cell].others * arrayLength(&receivers) + id.x;
+        if (differ(depths[at.x], depths[at.w])) {
+            atomicAdd(&differences[first], 1u);
+        }
+        if (differ(depths[at.y], depths[at.z])) {
+            atomicAdd(&differences[first + job.tiles], 1u);
+        }
     }
 }
 

@@ -62,8 +62,9 @@ struct Lit {
 override start_weight: f32;
 /// Whether blockers are searched for where a receiver has no past.
 override starts: bool;
-/// Error above which neighbours are averaged.
+/// Error above which neighbours are averaged, where any are.
 override threshold: f32;
+override filters: bool;
 /// 1: the paper's formulas and choices, each.
 override binomial: bool;
 override screen_disk: bool;
@@ -681,7 +682,7 @@ fn show(@builtin(global_invocation_id) id: vec3<u32>) {
     var shown = Smoothed(past.shadowed / past.count, f32(TAPS));
     // Where no blocker is known there is no penumbra; a light without size has none.
     let has_penumbra = past.blockers > 0.0 && emitter.domain != 2u;
-    if (has_penumbra && screen.size.x > 0u && standard_error(past) > threshold) {
+    if (filters && has_penumbra && screen.size.x > 0u && standard_error(past) > threshold) {
         shown = smoothed(receiver, past);
     }
     // The squared error of PCSS stays, that of n tests falls as n^-2 where edges run along the light's: inverse to these, PCSS weighs

@@ -80,6 +80,15 @@ pub struct LightView<'a> {
     pub facing: Vec<bool>,
 }
 
+/// A tile with receivers that the light faces.
+struct FacingTile {
+    number: u32,
+    /// Those receivers' pixels.
+    pixels: Vec<u32>,
+    /// Of those receivers, scene space.
+    bounds: Bounds,
+}
+
 /// The receivers that a technique works on.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Work {
@@ -158,7 +167,23 @@ impl<'a> LightView<'a> {
             pixels.par_iter().with_min_len(1024).map(|pixel| pixel.as_ref().is_some_and(is_facing)).collect();
         let lit = |number: usize| pixels[number].as_ref().filter(|_| facing[number]);
 
-        let receiver_bounds: Bounds = (0..pixels.len()).filter_map(lit).map(|receiver| receiver.position).collect();
+        let [width, height] = frame.receivers.size;
+        let columns = width.div_ceil(TILE);
+        // Neighbours in the image are neighbours on the GPU, and read the same texels.
+        let in_tile = |tile: u32| {
+            let (x, y) = (tile % columns * TILE, tile / columns * TILE);
+            let rows = y..(y + TILE).min(height);
+            let numbers = rows.flat_map(|y| (x..(x + TILE).min(width)).map(move |x| y * width + x));
+            let pixels: Vec<u32> = numbers.filter(|&number| facing[number as usize]).collect();
+            let positions = pixels.iter().filter_map(|&number| lit(number as usize)).map(|receiver| receiver.position);
+            FacingTile { number: tile, bounds: positions.collect(), pixels }
+        };
+        let facing_tiles: Vec<FacingTile> = (0..columns * height.div_ceil(TILE))
+            .into_par_iter()
+            .map(in_tile)
+            .filter(|tile| !tile.pixels.is_empty())
+            .collect();
+        let receiver_bounds = facing_tiles.iter().fold(Bounds::EMPTY, |all, tile| all.union(tile.bounds));
         let Some(first) = (0..pixels.len()).find_map(lit) else { return Ok(None) };
         let origin = receiver_bounds.center();
         // From the middle a light may be seen from behind, or from within; every receiver that it faces sees it.
@@ -178,23 +203,7 @@ impl<'a> LightView<'a> {
         let reach = corners.iter().map(|&corner| (corner - origin).abs().max_element()).fold(0.0, f64::max);
         let space = DrawSpace { origin, unit: unit_above(reach) };
         let on_gpu = |position: DVec3| (position - origin) / space.unit;
-        let [width, height] = frame.receivers.size;
-        let columns = width.div_ceil(TILE);
-        let bounds_of = |tile: u32| {
-            let (x, y) = (tile % columns * TILE, tile / columns * TILE);
-            let rows = y..(y + TILE).min(height);
-            let numbers = rows.flat_map(|y| (x..(x + TILE).min(width)).map(move |x| (y * width + x) as usize));
-            numbers.filter_map(lit).map(|receiver| on_gpu(receiver.position)).collect::<Bounds>()
-        };
-        let (tile_numbers, tiles) = (0..columns * height.div_ceil(TILE))
-            .into_par_iter()
-            .map(|tile| (tile, bounds_of(tile)))
-            .filter(|(_, bounds)| !bounds.is_empty())
-            .unzip();
-
-        // Neighbours in the image are neighbours on the GPU, and read the same texels.
-        let mut numbers: Vec<u32> = (0..pixels.len() as u32).filter(|&number| facing[number as usize]).collect();
-        numbers.par_sort_by_key(|&number| tile_of(number, width));
+        let bounds_on_gpu = |bounds: &Bounds| Bounds { min: on_gpu(bounds.min), max: on_gpu(bounds.max) };
         let casters = buffers.draw_list(gpu, frame.scene, space, Part::Chunk, is_caster)?;
         // A distant emitter is made of directions, which have no scale.
         let emitter = if emitter.distant {
@@ -214,16 +223,18 @@ impl<'a> LightView<'a> {
             space,
             caster_bounds: casters.bounds(),
             casters,
-            receiver_bounds: Bounds { min: on_gpu(receiver_bounds.min), max: on_gpu(receiver_bounds.max) },
-            tiles,
-            tile_numbers,
+            receiver_bounds: bounds_on_gpu(&receiver_bounds),
+            tiles: facing_tiles.iter().map(|tile| bounds_on_gpu(&tile.bounds)).collect(),
+            tile_numbers: facing_tiles.iter().map(|tile| tile.number).collect(),
             chunks: Vec::new(),
             lit: Vec::new(),
             facing,
         };
-        if work == Work::Shadowed {
-            let shadowed = view.shadowed_tiles(frame, light, &numbers);
-            (numbers, view.lit) = numbers.into_iter().partition(|&number| shadowed[tile_of(number, width) as usize]);
+        let mut numbers: Vec<u32> = Vec::with_capacity(pixels.len());
+        let shadowed = (work == Work::Shadowed).then(|| view.shadowed_tiles(frame, light, &facing_tiles));
+        for tile in &facing_tiles {
+            let is_worked_on = shadowed.as_ref().is_none_or(|shadowed| shadowed[tile.number as usize]);
+            if is_worked_on { &mut numbers } else { &mut view.lit }.extend(&tile.pixels);
         }
         view.chunks = numbers
             .chunks(most_receivers(gpu, bytes_a_receiver))
@@ -293,9 +304,9 @@ impl<'a> LightView<'a> {
         found
     }
 
-    /// By tile, whether in it something may hide some of the light from one of these receivers, sorted by tile: a caster, or a
+    /// By tile, whether in it something may hide some of the light from one of its receivers: a caster, or a
     /// receiver's own tangent plane. All other receivers see it whole.
-    fn shadowed_tiles(&self, frame: &Frame, light: &AreaLight, numbers: &[u32]) -> Vec<bool> {
+    fn shadowed_tiles(&self, frame: &Frame, light: &AreaLight, tiles: &[FacingTile]) -> Vec<bool> {
         let mut shadowed = self.behind(&self.casters, frame, light);
         let is_cut = |&number: &u32| {
             let receiver = frame.receivers.pixels[number as usize].as_ref().expect("only hits face the light");
@@ -304,11 +315,8 @@ impl<'a> LightView<'a> {
             let normal = receiver.normal;
             normal.dot(center - from) < normal.dot(half_u).abs() + normal.dot(half_v).abs()
         };
-        let cut: Vec<u32> = by_tile(numbers, frame.receivers.size[0])
-            .into_par_iter()
-            .filter(|(_, range)| numbers[range.start as usize..range.end as usize].iter().any(is_cut))
-            .map(|(tile, _)| tile)
-            .collect();
+        let cut: Vec<u32> =
+            tiles.par_iter().filter(|tile| tile.pixels.iter().any(is_cut)).map(|tile| tile.number).collect();
         for tile in cut {
             shadowed[tile as usize] = true;
         }

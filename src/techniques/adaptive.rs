@@ -207,12 +207,21 @@ gpu_struct! {
         pub width: u32,
         pub tile_columns: u32,
         pub tiles: u32,
-        pub cell: u32,
         pub distant: u32,
-        pub others: [u32; 4],
+        pub padding: u32,
         pub normal: Vec3,
         pub depth_offset: f32,
         pub counts: Vec4,
+    }
+}
+
+gpu_struct! {
+    /// Twin of `CellPoints` in `techniques/adaptive.wgsl`.
+    struct CellPoints {
+        pub others: [u32; 4],
+        pub middle: u32,
+        pub padding: u32,
+        pub padding_2: [u32; 2],
     }
 }
 
@@ -607,9 +616,8 @@ impl<'a> Work<'a> {
             width,
             tile_columns,
             tiles: tile_columns * height.div_ceil(TILE),
-            cell: 0,
             distant: u32::from(emitter.distant),
-            others: [0; 4],
+            padding: 0,
             normal: emitter.normal.as_vec3(),
             depth_offset: -from as f32,
             counts: Vec4::ZERO,
@@ -697,22 +705,19 @@ impl<'a> Work<'a> {
             depths.hold(gpu, self.points.len())?;
         }
         self.shadow_maps += maps.count;
+        if skips && !divided.is_empty() {
+            self.inherit(first, added, &needed, divided)?;
+        }
         for batch in 0..maps.batches() {
             let mut frame = gpu::pass::Frame::new(gpu);
             let rendered = maps.render(&mut frame, batch)?;
             for group in rendered.range.clone().collect::<Vec<_>>().chunks(IN_WORD) {
-                let mut job = Job {
+                let job = Job {
                     first: (group[0] - rendered.range.start) as u32,
                     count: group.len() as u32,
                     number: (first + group[0]) as u32,
                     ..self.job(self.frame.receivers.size)
                 };
-                if skips {
-                    for (i, &point) in group.iter().enumerate() {
-                        let around = added[point].cells.first();
-                        job.others[i] = around.map_or(SEEN_WHOLE, |&cell| divided[cell].cell.points[0] as u32);
-                    }
-                }
                 let needed = if skips { Some(&needed[group[0]..group[0] + group.len()]) } else { None };
                 self.read_group(&mut frame, &rendered, job, needed)?;
             }
@@ -722,6 +727,34 @@ impl<'a> Work<'a> {
                 self.arrays.push(rendered);
             }
         }
+        Ok(())
+    }
+
+    /// Takes new points, numbered from `first`, for what others are where they are not looked up.
+    fn inherit(&mut self, first: usize, added: &[Added], needed: &[Vec<bool>], divided: &[Compared]) -> Result<()> {
+        let gpu = self.view.gpu;
+        let other = |added: &Added| added.cells.first().map_or(SEEN_WHOLE, |&cell| divided[cell].cell.points[0] as u32);
+        let others: Vec<u32> = added.iter().map(other).collect();
+        let others = gpu.buffer("inherited", &others, wgpu::BufferUsages::STORAGE)?;
+        let job = Job { number: first as u32, count: added.len() as u32, ..self.job(self.frame.receivers.size) };
+        let job = self.uniform(job)?;
+        let mut frame = gpu::pass::Frame::new(gpu);
+        for known in &self.known {
+            let lacks_some = |tile: u32| needed.iter().any(|needed| !needed[tile as usize]);
+            let tiles = known.chunk.tiles.iter().filter(|(tile, _)| lacks_some(*tile));
+            let tiles: Vec<[u32; 4]> = tiles.map(|(_, range)| [range.start, range.len() as u32, 0, 0]).collect();
+            for tiles in tile_lists(gpu, &tiles)? {
+                frame
+                    .compute("inheritance", &self.pipeline("inherit"))
+                    .bind("planes", &known.planes.buffer)
+                    .bind("receivers", &known.chunk.buffer)
+                    .bind("job", &job)
+                    .bind("inherited", &others)
+                    .bind("needed", &tiles.buffer)
+                    .dispatch(tiles.groups);
+            }
+        }
+        add_passes(&mut self.passes, frame.finish()?);
         Ok(())
     }
 
@@ -770,20 +803,8 @@ impl<'a> Work<'a> {
         };
         for known in self.known.iter().filter(|_| self.parameters.keeps_bytes()) {
             let of_tile = |(tile, range): &(u32, Range<u32>)| [range.start, range.len() as u32, bits(*tile), 0];
-            let tiles: Vec<[u32; 4]> = known.chunk.tiles.iter().map(of_tile).collect();
-            let those = |is_one: &dyn Fn(u32) -> bool| {
-                tile_lists(gpu, &tiles.iter().filter(|[.., bits, _]| is_one(*bits)).copied().collect::<Vec<_>>())
-            };
-            for tiles in those(&|bits| bits != all)? {
-                frame
-                    .compute("inheritance", &self.pipeline("inherit"))
-                    .bind("planes", &known.planes.buffer)
-                    .bind("receivers", &known.chunk.buffer)
-                    .bind("job", &uniform)
-                    .bind("needed", &tiles.buffer)
-                    .dispatch(tiles.groups);
-            }
-            for tiles in those(&|bits| bits > 0)? {
+            let tiles = known.chunk.tiles.iter().map(of_tile).filter(|[.., bits, _]| *bits > 0);
+            for tiles in tile_lists(gpu, &tiles.collect::<Vec<_>>())? {
                 self.read(frame.compute("look-ups", &self.pipeline("look_up")), known, maps, &uniform)
                     .bind("planes", &known.planes.buffer)
                     .bind("needed", &tiles.buffer)
@@ -871,6 +892,7 @@ impl<'a> Work<'a> {
         let pipeline = self.pipeline(if by_visibility { "compare_visibility" } else { "compare_depths" });
         let (size, chunks) = self.compared();
         let job = self.job(size);
+        let uniform = self.uniform(self.job(size))?;
         let tiles = job.tiles as usize;
         let population = population(tiles, chunks);
         let faces = if self.parameters.compare == View::Light { chunks.len() } else { 1 };
@@ -884,34 +906,36 @@ impl<'a> Work<'a> {
         for cells in cells.chunks(CELLS_AT_ONCE) {
             let bytes = 8 * (cells.len() * tiles) as u64;
             let differences = gpu.empty_buffer("differences", bytes, wgpu::BufferUsages::STORAGE)?;
+            let points = |cell: &Cell| CellPoints {
+                others: tree.around(cell).map(|point| point as u32),
+                middle: cell.points[0] as u32,
+                padding: 0,
+                padding_2: [0; 2],
+            };
+            let points: Vec<CellPoints> = cells.iter().map(points).collect();
+            let points = gpu.buffer("cells", &points, wgpu::BufferUsages::STORAGE)?;
             let mut frame = gpu::pass::Frame::new(gpu);
-            for (number, cell) in (0..).zip(cells) {
-                let uniform = self.uniform(Job {
-                    cell: number,
-                    number: cell.points[0] as u32,
-                    others: tree.around(cell).map(|point| point as u32),
-                    ..job
-                })?;
-                for (chunk, depths) in self.compared().1.iter().zip(&self.depths) {
+            for (chunk, depths) in self.compared().1.iter().zip(&self.depths) {
+                frame
+                    .compute("comparison", &pipeline)
+                    .bind("receivers", &chunk.buffer)
+                    .bind("depths", &depths.buffer)
+                    .bind("job", &uniform)
+                    .bind("cells", &points)
+                    .bind("differences", &differences)
+                    .dispatch(groups(chunk));
+            }
+            for known in self.known.iter().filter(|_| by_visibility) {
+                for tiles in &known.tiles {
                     frame
                         .compute("comparison", &pipeline)
-                        .bind("receivers", &chunk.buffer)
-                        .bind("depths", &depths.buffer)
+                        .bind("receivers", &known.chunk.buffer)
+                        .bind("planes", &known.planes.buffer)
                         .bind("job", &uniform)
+                        .bind("cells", &points)
+                        .bind("needed", &tiles.buffer)
                         .bind("differences", &differences)
-                        .dispatch(groups(chunk));
-                }
-                for known in self.known.iter().filter(|_| by_visibility) {
-                    for tiles in &known.tiles {
-                        frame
-                            .compute("comparison", &pipeline)
-                            .bind("receivers", &known.chunk.buffer)
-                            .bind("planes", &known.planes.buffer)
-                            .bind("job", &uniform)
-                            .bind("needed", &tiles.buffer)
-                            .bind("differences", &differences)
-                            .dispatch(tiles.groups);
-                    }
+                        .dispatch(tiles.groups);
                 }
             }
             add_passes(&mut self.passes, frame.finish()?);

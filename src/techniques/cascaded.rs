@@ -176,7 +176,7 @@ impl Default for Cascaded {
             blend: 0.25,
             filter: true,
             kernels: PerSplit(vec![1]),
-            map_size: PerSplit(vec![1024, 1024, 512]),
+            map_size: PerSplit(vec![768, 768, 512]),
         }
     }
 }

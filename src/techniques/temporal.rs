@@ -447,6 +447,7 @@ impl Built {
             ("start_weight", self.parameters.start_weight),
             ("starts", is(self.starts())),
             ("threshold", threshold),
+            ("filters", is(threshold < 1.0)),
             ("binomial", is(self.parameters.error == StandardError::Binomial)),
             ("screen_disk", is(self.parameters.kernel == Kernel::Disk)),
             ("all_depths", is(self.parameters.blockers == Blockers::All)),
@@ -504,16 +505,19 @@ impl Built {
         } else if is_still && turned.is_empty() && shift == 0.0 {
             (OWN_PIXEL, Vec::new())
         } else {
-            let screen = PastScreen { camera: &camera, shot, unit: memory.unit };
+            let screen = PastScreen::new(&camera, shot, memory.unit);
             let is_lost = |receiver: &Receiver| turned.iter().any(|sphere| sphere.may_block(light, receiver.position));
             let arrival = |number: &u32| {
                 let receiver = frame.receivers.pixels[*number as usize].as_ref().expect("only hits face the light");
                 if is_lost(receiver) {
                     return Arrival::NONE;
                 }
-                let (position, normal) = match self.parameters.reprojection {
-                    Reprojection::Printed => (receiver.position, receiver.normal),
-                    Reprojection::Exact => pose.receiver(frame.scene, receiver),
+                let is_followed = self.parameters.reprojection == Reprojection::Exact
+                    && moving.get(receiver.instance as usize) == Some(&true);
+                let (position, normal) = if is_followed {
+                    pose.receiver(frame.scene, receiver)
+                } else {
+                    (receiver.position, receiver.normal)
                 };
                 let motion = (receiver.position - position) / view.space.unit;
                 Arrival { motion: motion.as_vec3(), ..screen.arrival(position, normal) }
@@ -773,13 +777,28 @@ fn answers(gpu: &Gpu, view: &LightView) -> Result<Vec<wgpu::Buffer>> {
 /// The camera of the frame before.
 struct PastScreen<'a> {
     camera: &'a Camera,
-    /// Size and border, which stay.
-    shot: &'a Shot<'a>,
+    /// See [`is_orthographic`].
+    orthographic: bool,
+    /// See [`focal`].
+    focal: f64,
+    /// See [`center_px`].
+    center_px: DVec2,
     /// Metres a unit on the GPU.
     unit: f64,
 }
 
-impl PastScreen<'_> {
+impl<'a> PastScreen<'a> {
+    /// That of a camera whose image has the size and border of this shot.
+    fn new(camera: &'a Camera, shot: &Shot, unit: f64) -> Self {
+        Self {
+            camera,
+            orthographic: is_orthographic(camera),
+            focal: focal(camera, shot.size, unit),
+            center_px: center_px(shot),
+            unit,
+        }
+    }
+
     /// Where a point of a plane was on the screen.
     fn arrival(&self, position: DVec3, normal: DVec3) -> Arrival {
         let axes = &self.camera.scene_from_camera.matrix3;
@@ -787,16 +806,14 @@ impl PastScreen<'_> {
         let depth = -seen.z;
         let [right, up, forward] = [axes.x_axis, axes.y_axis, -axes.z_axis].map(|axis| normal.dot(axis));
         // As `smoothed` in the shader has it.
-        let (at, ray, sign, focal) = if is_orthographic(self.camera) {
-            let focal = focal(self.camera, self.shot.size, self.unit);
-            (focal / self.unit * seen.truncate(), forward, -1.0, focal)
+        let (at, ray, sign) = if self.orthographic {
+            (self.focal / self.unit * seen.truncate(), forward, -1.0)
         } else {
-            let focal = focal(self.camera, self.shot.size, self.unit);
             let at = seen.truncate() / depth;
-            (focal * at, forward + at.x * right + at.y * up, 1.0, focal)
+            (self.focal * at, forward + at.x * right + at.y * up, 1.0)
         };
-        let at_px = center_px(self.shot) + DVec2::new(at.x, -at.y);
-        let slope = sign * DVec2::new(right, -up) / (focal * ray);
+        let at_px = self.center_px + DVec2::new(at.x, -at.y);
+        let slope = sign * DVec2::new(right, -up) / (self.focal * ray);
         // Behind the camera there is nothing; where the plane is seen edge-on, nothing of it.
         if !(at_px.is_finite() && slope.is_finite() && (depth > 0.0 || sign < 0.0)) {
             return Arrival::NONE;
