@@ -14,7 +14,8 @@
 @group(0) @binding(10) var<storage, read> arrivals: array<Arrival>;
 /// The moving casters alone, as the faces see them.
 @group(0) @binding(12) var moving_depth: texture_depth_2d_array;
-/// Receivers, by index, that `accumulate` leaves to `begin`, after how many there are.
+/// Receivers, by index, that `accumulate` leaves to `begin`: how many have no past and how many have one, then the former from the
+/// front and the latter from the back.
 @group(0) @binding(13) var<storage, read_write> beginning: array<atomic<u32>>;
 /// Receivers, by index, that moving casters may shadow.
 @group(0) @binding(14) var<storage, read> reached: array<u32>;
@@ -500,8 +501,10 @@ fn accumulate(@builtin(global_invocation_id) id: vec3<u32>) {
         }
         let tested = select(0.0, 1.0, test.blocked);
         let is_even = fetched.shares.x == tested && fetched.shares.y == tested;
-        if (test.above && (past.count == 0.0 || (fetched.most < MOST_REFRESHED && !is_even))) {
-            atomicStore(&beginning[1u + atomicAdd(&beginning[0], 1u)], id.x);
+        let is_new = past.count == 0.0;
+        if (test.above && (is_new || (fetched.most < MOST_REFRESHED && !is_even))) {
+            let place = atomicAdd(&beginning[select(1u, 0u, is_new)], 1u);
+            atomicStore(&beginning[select(arrayLength(&beginning) - 1u - place, 2u + place, is_new)], id.x);
             leave(receiver, past);
             return;
         }
@@ -512,7 +515,8 @@ fn accumulate(@builtin(global_invocation_id) id: vec3<u32>) {
 /// A prime: multiples of it, modulo another number, are that number's remainders in another order.
 const SCATTER: u32 = 40507u;
 
-/// Receivers without past, or with little: PCSS takes so long that those who have one would wait for them.
+/// Receivers without past, or with little: PCSS takes so long that those who have one would wait for them, and those who know their
+/// blockers for those who search for them.
 @compute @workgroup_size(64)
 fn begin(
     @builtin(workgroup_id) group: vec3<u32>,
@@ -520,11 +524,15 @@ fn begin(
     @builtin(local_invocation_index) local: u32,
 ) {
     // Few of the workgroups have work, and some drivers give each processor a row of them.
-    let place = 64u * (group.x * SCATTER % groups.x) + local;
-    if (place >= atomicLoad(&beginning[0])) {
+    let number = group.x * SCATTER % groups.x;
+    let count_new = atomicLoad(&beginning[0]);
+    let groups_new = (count_new + 63u) / 64u;
+    let is_new = number < groups_new;
+    let place = 64u * select(number - groups_new, number, is_new) + local;
+    if (place >= select(atomicLoad(&beginning[1]), count_new, is_new)) {
         return;
     }
-    let receiver = receivers[atomicLoad(&beginning[1u + place])];
+    let receiver = receivers[atomicLoad(&beginning[select(arrayLength(&beginning) - 1u - place, 2u + place, is_new)])];
     let before = left(receiver.number);
     let has_past = before.count > 0.0;
     let known_gap = select(-1.0, before.gap, has_past && before.blockers > 0.0);

@@ -255,8 +255,14 @@ gpu_struct! {
     }
 }
 
-/// Twin of that in the shader: the one count of workgroups that it does not scatter.
+/// Twin of that in the shader: it scatters any count of workgroups that is not a multiple of it.
 const SCATTER: u32 = 40507;
+
+/// Workgroups that may begin some of so many receivers: those without past have workgroups of their own.
+fn groups_to_begin(receivers: u32) -> u32 {
+    let groups = receivers.div_ceil(WORKGROUP) + 1;
+    groups + u32::from(groups == SCATTER)
+}
 
 /// Samples that a receiver that sees the whole light is taken to have at most, as the shader halves those beyond.
 const MOST_LIT: u32 = 32_768;
@@ -586,7 +592,7 @@ impl Built {
         let beginning: Vec<wgpu::Buffer> = view
             .chunks
             .iter()
-            .map(|chunk| if wide { 4 * (1 + chunk.pixels.len() as u64) } else { 4 })
+            .map(|chunk| if wide { 4 * (2 + chunk.pixels.len() as u64) } else { 8 })
             .map(|bytes| gpu.empty_buffer("receivers that begin", bytes, wgpu::BufferUsages::STORAGE))
             .collect::<Result<_>>()?;
         let lit = self.lit(view, frame, frames)?;
@@ -633,7 +639,7 @@ impl Built {
                         .bind("next_history", &*next)
                         .bind("screen", &screen)
                         .bind("beginning", beginning)
-                        .dispatch(if groups[0] == SCATTER { [SCATTER + 1, 1, 1] } else { groups });
+                        .dispatch([groups_to_begin(chunk.pixels.len() as u32), 1, 1]);
                 }
             }
             std::mem::swap(past, next);
