@@ -42,7 +42,7 @@ fn a_light_of_endless_size_is_sampled_far_away() {
     let scene = square_under(square_light(5e6, 5.0));
     let points = line(-0.1, 0.1, 20);
     assert!(drawn(&scene, &points, mapped("uniform", 64).as_ref()).iter().all(|&v| v == 1.0));
-    for name in MAPPED {
+    for name in DRAWN {
         draw(&scene, &points, mapped(name, 64).as_ref());
     }
 }
@@ -72,7 +72,7 @@ fn an_occluder_approaching_the_light_hides_its_own_share() {
 fn an_occluder_in_the_plane_of_the_light_does_not_block() {
     let points = line(-2.0, 2.0, 50);
     let at_light = scene(vec![mesh(&quad([-9.0, 9.0], 5.0, [-9.0, 9.0]))], vec![square_light(1.0, 5.0)]);
-    for name in MAPPED {
+    for name in DRAWN {
         let found = drawn(&at_light, &points, mapped(name, 64).as_ref());
         assert!(found.iter().all(|&v| v == 1.0), "{name}: {found:?}");
     }
@@ -123,7 +123,7 @@ fn depth_keeps_parallel_planes_apart_as_far_as_the_bias_does() {
 fn visibility_does_not_change_with_scale() {
     let scene = bumpy(lights_of_every_shape());
     let points = line(-1.5, 1.5, 100);
-    for name in MAPPED {
+    for name in DRAWN {
         let found = draw(&scene, &points, mapped(name, 64).as_ref());
         for exponent in [-30, -20, 20, 30] {
             let factor = 2f64.powi(exponent);
@@ -153,7 +153,7 @@ fn a_shift_that_keeps_coordinates_exact_keeps_every_bit() {
         let points: Vec<DVec3> = points.iter().map(|p| (p * step).round() / step + shift.as_dvec3()).collect();
         draw(&scene, &points, mapped(name, 64).as_ref())
     };
-    for name in MAPPED {
+    for name in DRAWN {
         let found = at(name, 64.0, Vec3::ZERO);
         for shift in [Vec3::new(1e5, -7e4, 3e4), Vec3::new(-65_536.25, 131_072.5, 0.0)] {
             same_bits(&format!("{name} + {shift}"), &found, &at(name, 64.0, shift));
@@ -186,7 +186,7 @@ fn a_lit_plane_has_no_acne_however_it_is_tilted() {
         let mut random = Random(81);
         let points: Vec<DVec3> =
             (0..200).map(|_| turn * DVec3::new(random.between(-2.0, 2.0), 0.0, random.between(-2.0, 2.0))).collect();
-        for name in MAPPED {
+        for name in DRAWN {
             for size in [64, 256] {
                 let receivers = receivers(&scene, &points, turn * DVec3::Y);
                 for (light, image) in
@@ -212,7 +212,7 @@ fn a_light_in_the_plane_of_its_receiver_is_in_no_mask() {
         light.scene_from_light.matrix3 = turn * light.scene_from_light.matrix3;
         light.scene_from_light.translation = turn * DVec3::new(3.0, 0.0, 0.7);
         let scene = scene(vec![mesh(&quad([-9.0, 9.0], -8.0, [-9.0, 9.0]))], vec![light]);
-        for name in MAPPED {
+        for name in DRAWN {
             let receivers = receivers(&scene, &[DVec3::ZERO], turn * DVec3::Y);
             let image = draw_receivers(&scene, receivers, mapped(name, 64).as_ref()).swap_remove(0);
             assert_eq!(
@@ -307,11 +307,23 @@ fn triangles_without_area_and_triangles_twice_change_nothing() {
     // The other way around.
     odd.extend(square.iter().map(|&[a, b, c]| [a, c, b]));
     let points = line(-2.0, 2.0, 150);
-    for name in MAPPED {
+    for name in DRAWN {
         let of = |triangles: &[[[f32; 3]; 3]]| {
             draw(&scene(vec![mesh(triangles)], lights_of_every_shape()), &points, mapped(name, 64).as_ref())
         };
-        same_bits(name, &of(&square), &of(&odd));
+        let [found, expected] = [of(&odd), of(&square)];
+        if MAPPED.contains(&name) {
+            same_bits(name, &expected, &found);
+            continue;
+        }
+        // What adds up areas up to stored depths: of the same square turned over these may round otherwise. Sheets that are there twice
+        // hide the same twice, which the points of the light take back in the mean: a limit of that technique, up to a tenth here.
+        let bound = if name == "shadow-volumes" { 0.1 } else { 1e-5 };
+        for (found, expected) in found.iter().zip(&expected) {
+            for (v, expected) in found.visibility.iter().zip(&expected.visibility) {
+                assert!((v - expected).abs() <= bound, "{name}: {v} for {expected}");
+            }
+        }
     }
 }
 
@@ -396,7 +408,7 @@ fn the_same_is_drawn_twice_and_on_any_number_of_threads() {
     let strip = |images: Vec<LightImage>| -> Vec<LightImage> {
         images.into_iter().map(|image| LightImage { passes: Vec::new(), ..image }).collect()
     };
-    for name in MAPPED {
+    for name in DRAWN {
         let on = |threads: usize| {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("a pool");
             pool.install(|| strip(draw(&scene, &points, mapped(name, 64).as_ref())))
@@ -418,16 +430,29 @@ fn nothing_is_ever_not_a_number() {
                 mesh(&quad([-size, size], height, [-1.0, 1.0])),
                 mesh(&[[[0.0; 3], [size, height, 0.0], [1.0; 3]]]),
             ];
-            let scene = scene(meshes, lights_of_every_shape());
             let points: Vec<DVec3> = magnitudes.iter().map(|&x| DVec3::new(x.into(), 0.0, 0.0)).collect();
-            for name in MAPPED {
-                let images = draw(
-                    &scene,
-                    &points,
-                    technique(name, &format!("map_size=8{}", if name == "uniform" { " samples=4" } else { "" }))
-                        .as_ref(),
-                );
-                assert_eq!(images.len(), scene.lights.len(), "{name} {size} {height}");
+            for name in DRAWN {
+                let settings = match name {
+                    "uniform" => "samples=4 map_size=8",
+                    "shadow-volumes" => "",
+                    _ => "map_size=8",
+                };
+                let technique = technique(name, settings);
+                // Its maps look one way: one light may be refused, others not.
+                let lights = lights_of_every_shape();
+                let groups = if name == "soft-shadow-map" { lights.chunks(1) } else { lights.chunks(lights.len()) };
+                let mut refused = 0;
+                for lights in groups {
+                    let scene = scene(meshes.clone(), lights.to_vec());
+                    match try_draw(&scene, &points, technique.as_ref()) {
+                        Ok(images) => assert_eq!(images.len(), lights.len(), "{name} {size} {height}"),
+                        Err(error) => {
+                            assert!(error.to_string().contains("looks one way"), "{name} {size} {height}: {error}");
+                            refused += 1;
+                        }
+                    }
+                }
+                assert!(refused == 0 || (name == "soft-shadow-map" && refused < lights.len()), "{name} {refused}");
             }
         }
     }

@@ -3,6 +3,7 @@
 use std::sync::LazyLock;
 
 use glam::DVec3;
+use penumbra::Result;
 use penumbra::progress::Progress;
 use penumbra::receivers::Receivers;
 use penumbra::render::render_receivers;
@@ -18,6 +19,23 @@ pub static CONTEXT: LazyLock<Context> = LazyLock::new(Context::default);
 pub const MAPPED: [&str; 9] =
     ["hard", "pcf", "min-max-pcf", "pcss", "uniform", "adaptive", "temporal", "cascaded", "bilateral"];
 
+/// All that draw what may block.
+pub const DRAWN: [&str; 13] = [
+    "hard",
+    "pcf",
+    "min-max-pcf",
+    "pcss",
+    "uniform",
+    "adaptive",
+    "temporal",
+    "cascaded",
+    "bilateral",
+    "min-max-backprojection",
+    "bitmask",
+    "soft-shadow-map",
+    "shadow-volumes",
+];
+
 /// Texels on either side of its own that `pcf` and `min-max-pcf` read as [`mapped`] makes it.
 pub const PCF_RADIUS: u32 = 1;
 
@@ -27,7 +45,7 @@ pub fn technique(name: &str, settings: &str) -> Box<dyn Technique> {
     (Entry::find(name).expect("there is").build)(&CONTEXT, &parameters).expect("builds")
 }
 
-/// One of [`MAPPED`] with small kernels and few samples.
+/// One of [`DRAWN`] with small kernels and few samples.
 pub fn mapped(name: &str, map_size: u32) -> Box<dyn Technique> {
     let own = match name {
         "pcf" | "min-max-pcf" => "kernel=3",
@@ -35,6 +53,7 @@ pub fn mapped(name: &str, map_size: u32) -> Box<dyn Technique> {
         "uniform" => "samples=16",
         "adaptive" => "max_depth=2",
         "temporal" => "frames=16 start_weight=0 threshold=1",
+        "shadow-volumes" => return technique(name, ""),
         _ => "",
     };
     technique(name, &format!("{own} map_size={map_size}"))
@@ -42,13 +61,22 @@ pub fn mapped(name: &str, map_size: u32) -> Box<dyn Technique> {
 
 /// What a technique finds at receivers, a light each; every value is one that may be written.
 pub fn draw_receivers(scene: &Scene, receivers: Receivers, technique: &dyn Technique) -> Vec<LightImage> {
-    let lights = render_receivers(scene, receivers, technique, true, &Progress::default()).expect("renders").lights;
+    try_draw_receivers(scene, receivers, technique).expect("renders")
+}
+
+fn try_draw_receivers(scene: &Scene, receivers: Receivers, technique: &dyn Technique) -> Result<Vec<LightImage>> {
+    let lights = render_receivers(scene, receivers, technique, true, &Progress::default())?.lights;
     for image in &lights {
         assert!(image.visibility.iter().all(|v| (0.0..=1.0).contains(v)), "{:?}", image.visibility);
         assert!(image.irradiance_ratio.iter().all(|v| (0.0..=1.0).contains(v)), "{:?}", image.irradiance_ratio);
         assert!(image.irradiance.iter().flatten().all(|e| e.is_finite() && *e >= 0.0), "{:?}", image.irradiance);
     }
-    lights
+    Ok(lights)
+}
+
+/// [`draw`], of what may be refused.
+pub fn try_draw(scene: &Scene, positions_world: &[DVec3], technique: &dyn Technique) -> Result<Vec<LightImage>> {
+    try_draw_receivers(scene, receivers(scene, positions_world, DVec3::Y), technique)
 }
 
 /// What a technique finds at world positions with normal +Y, a light each.
