@@ -95,9 +95,7 @@ fn ends_that_cost() {
     for entry in ALL {
         for parameter in entry.parameters() {
             for end in ends(&parameter).filter(|end| *end > DEAR) {
-                let start = std::time::Instant::now();
                 try_out(&scene, entry, &format!("{}{}={end}", cheap(entry, &parameter.name), parameter.name));
-                eprintln!("{} {}={end}: {:?}", entry.name, parameter.name, start.elapsed());
             }
         }
     }
