@@ -40,8 +40,10 @@ def _set(owner: Any, **values: Any) -> Iterator[None]:
 
 
 @contextmanager
-def _cycles_scene(scene: bpy.types.Scene, size: tuple[int, int], samples: int) -> Iterator[bpy.types.Scene]:
-    """A copy of the scene that Cycles renders for its direct light alone, on white diffuse surfaces under a black sky."""
+def _cycles_scene(
+    scene: bpy.types.Scene, size: tuple[int, int], samples: int
+) -> Iterator[tuple[bpy.types.Scene, bpy.types.Material]]:
+    """A copy of the scene for Cycles: its direct light alone, on surfaces of a white material, which is told too."""
     copy = scene.copy()
     material = bpy.data.materials.new("Penumbra White")
     world = bpy.data.worlds.new("Penumbra Black")
@@ -71,6 +73,9 @@ def _cycles_scene(scene: bpy.types.Scene, size: tuple[int, int], samples: int) -
         cycles = copy.cycles
         cycles.device = "CPU"
         cycles.samples = samples
+        cycles.time_limit = 0.0
+        for layer in copy.view_layers:
+            layer.samples = 0
         cycles.seed, cycles.use_animated_seed = _SEED, False
         cycles.use_adaptive_sampling = cycles.use_denoising = False
         cycles.max_bounces = cycles.diffuse_bounces = cycles.glossy_bounces = cycles.transmission_bounces = 0
@@ -82,7 +87,7 @@ def _cycles_scene(scene: bpy.types.Scene, size: tuple[int, int], samples: int) -
         cycles.caustics_reflective = cycles.caustics_refractive = False
         if hasattr(cycles, "use_light_tree"):
             cycles.use_light_tree = False
-        yield copy
+        yield copy, material
     finally:
         bpy.data.scenes.remove(copy)
         bpy.data.materials.remove(material)
@@ -159,10 +164,10 @@ def cycles_truth(
     scene = context.scene
     all_lights = [item for item in scene.objects if item.type == "LIGHT" and not item.hide_render]
     truths = {}
-    with _cycles_scene(scene, size, samples) as copy:
+    with _cycles_scene(scene, size, samples) as (copy, white), _set(scene.camera.data.dof, use_dof=False):
         layer = copy.view_layers[context.view_layer.name]
         layer.use_pass_combined = layer.use_pass_position = True
-        layer.material_override = next(m for m in bpy.data.materials if m.name.startswith("Penumbra White"))
+        layer.material_override = white
         for name in light_names:
             light = scene.objects[name]
             with _only(light, [other for other in all_lights if other != light]):
@@ -259,9 +264,11 @@ class PENUMBRA_OT_compare(bpy.types.Operator):
         names = [light.name for light in harvested.scene.lights]
         if settings.light_name:
             names = [name for name in names if name == settings.light_name]
-        names = [name for name in names if name in scene.objects]
-        if not names:
-            raise process.ProcessError("no light of the scene itself to compare")
+        instanced = [light.name for light in harvested.scene.lights if light.name not in scene.objects]
+        if instanced:
+            raise process.ProcessError(
+                f"light {instanced[0]!r} comes from an instance: Cycles can't be asked for one light alone then"
+            )
         # Cycles is given white surfaces without holes: both see the same.
         cut_out = [material for material in harvested.scene.materials if material.cutoff is not None]
         for material in cut_out:
@@ -289,8 +296,8 @@ class PENUMBRA_OT_compare(bpy.types.Operator):
         for name, truth in truths.items():
             images.put(f"Penumbra {name} E by E0", images.rgba(result.channels[f"{name}.irradiance_ratio"]))
             images.put(f"Penumbra {name} Cycles", images.rgba(truth.ratio))
-            images.put_png(f"Penumbra {name} Difference", measured["pictures"][name])
-        images.show(f"Penumbra {next(iter(truths))} Difference")
+        differences = [images.put_png(f"Penumbra {name} Difference", measured["pictures"][name]) for name in truths]
+        images.show(differences[0].name)
         last_lines.extend(lines_of(result, measured, truths, settings.cycles_samples))
         if cut_out:
             last_lines.append("Cut-outs are taken as whole, in both")

@@ -11,10 +11,13 @@ import numpy as np
 
 from . import glb, lights, textures
 
-# What Blender evaluates to a mesh.
-_MESH_LIKE = {"MESH", "CURVE", "SURFACE", "FONT", "META"}
-# What has no surface of its own.
+# What has no surface of its own; curves, surfaces, text and metaballs come once more, as the meshes made of them.
 _WITHOUT_SURFACE = {"ARMATURE", "CAMERA", "EMPTY", "LATTICE", "LIGHT", "LIGHT_PROBE", "LIGHTPROBE", "SPEAKER"}
+_WITHOUT_SURFACE |= {"CURVE", "SURFACE", "FONT", "META"}
+# Components of attributes that may hold a UV map.
+_PLACES = {"FLOAT2": 2, "FLOAT_VECTOR": 3}
+# The least volume that a transform leaves to a unit cube, its lengths aside; the binary takes no singular transform.
+_LEAST_VOLUME = 2.0**-40
 # The binary shortens a light's name that is longer than 232 bytes; `#2` and so on are to fit too.
 _MAX_LIGHT_NAME_BYTES = 200
 
@@ -33,6 +36,10 @@ def camera_of(camera_object: bpy.types.Object, *, size: tuple[int, int], pixel_a
     """A camera as it frames an image of `size` pixels. `pixel_aspect`: width of a pixel over its height."""
     camera = camera_object.data
     name = camera_object.name
+    if camera_object.type != "CAMERA":
+        raise ExtractError(f"{name!r} is no camera: choose one in the scene's properties")
+    if min(lights.column_lengths(np.array(camera_object.matrix_world, dtype=float))) == 0.0:
+        raise ExtractError(f"camera {name!r}: its scale is 0")
     if pixel_aspect != 1.0:
         raise ExtractError(f"camera {name!r}: pixels that are not square are not supported; set both aspects to 1")
     if camera.type not in {"PERSP", "ORTHO"}:
@@ -107,10 +114,19 @@ def _triangle_materials(mesh: bpy.types.Mesh, count: int) -> np.ndarray:
 
 
 def _uv_map(mesh: bpy.types.Mesh, name: str) -> np.ndarray:
-    """(corners, 2), with the image's first row at v = 0, as glTF has it; zeros where there is no such map, as in Cycles."""
+    """(corners, 2), with the image's first row at v = 0, as glTF has it; where there is no such map its last, as in Cycles."""
     layer = mesh.uv_layers.get(name) if name else next((layer for layer in mesh.uv_layers if layer.active_render), None)
+    if layer is None and name:
+        # Geometry nodes leave attributes, of other types and domains.
+        attribute = mesh.attributes.get(name)
+        if attribute is not None and attribute.data_type in _PLACES and attribute.domain in {"CORNER", "POINT"}:
+            places = _read(attribute.data, "vector", (len(attribute.data), _PLACES[attribute.data_type]), np.float32)
+            uv = np.ascontiguousarray((places if attribute.domain == "CORNER" else places[_corner_vertices(mesh)])[:, :2])
+            uv[:, 1] = 1.0 - uv[:, 1]
+            return uv
     if layer is None:
-        return np.zeros((len(mesh.loops), 2), np.float32)
+        # 1, but for what repeats.
+        return np.tile(np.array([0.0, 1.0 - 2.0**-20], np.float32), (len(mesh.loops), 1))
     is_attribute = hasattr(layer, "uv")
     uv = _read(layer.uv if is_attribute else layer.data, "vector" if is_attribute else "uv", (len(mesh.loops), 2), np.float32)
     uv[:, 1] = 1.0 - uv[:, 1]
@@ -199,7 +215,8 @@ class _Extraction:
         """Index of the evaluated mesh of an object: the same for all that share it."""
         data = instance_object.data
         slots = [self.material(slot.material) for slot in instance_object.material_slots] or [self.material(None)]
-        is_mesh = isinstance(data, bpy.types.Mesh)
+        # In Edit Mode it stands for the mesh that is edited, and is empty.
+        is_mesh = not data.is_editmode
         owner = 0 if is_mesh else instance_object.original.as_pointer()
         key = (data.as_pointer(), owner, tuple(slots))
         if key not in self.mesh_of:
@@ -225,12 +242,14 @@ class _Extraction:
             return
         if not instance.show_self:
             return
-        if item.type not in _MESH_LIKE:
+        if item.type != "MESH":
             if item.type not in _WITHOUT_SURFACE:
                 self.warn_once(f"{item.type.lower()} objects are left out ({item.name!r})")
             return
         # Linking follows the object that makes the instances, as in Cycles.
         owner = instance.parent.original if instance.is_instance and instance.parent else item.original
+        if any(system.settings.type == "HAIR" and system.settings.render_type == "PATH" for system in item.particle_systems):
+            self.warn_once(f"hair is left out ({item.name!r})")
         index = self.mesh(item)
         if index is None:
             return
@@ -238,7 +257,18 @@ class _Extraction:
             self.shadowless.add(owner.name)
         if not item.visible_camera or item.is_holdout:
             self.warn_once(f"object {owner.name!r} is hidden from the camera or a holdout, which is not supported: it is shown")
-        self.scene.copies.append(glb.Copy(owner.name, index, np.array(instance.matrix_world, dtype=float)))
+        matrix = np.array(instance.matrix_world, dtype=float)
+        lengths = lights.column_lengths(matrix)
+        if min(lengths) == 0.0 or abs(np.linalg.det(matrix[:3, :3] / lengths)) <= _LEAST_VOLUME:
+            index, matrix = self.flattened(index, matrix), np.eye(4)
+        self.scene.copies.append(glb.Copy(owner.name, index, matrix))
+
+    def flattened(self, index: int, matrix: np.ndarray) -> int:
+        """A mesh of its own where a transform leaves no volume: what is flat then is shown so, as Cycles does."""
+        mesh = self.scene.meshes[index]
+        positions = (mesh.positions @ matrix[:3, :3].T + matrix[:3, 3]).astype(np.float32)
+        self.scene.meshes.append(glb.Mesh(positions, mesh.triangles, None, mesh.uvs, mesh.parts))
+        return len(self.scene.meshes) - 1
 
     def add_light(self, instance: bpy.types.DepsgraphObjectInstance) -> None:
         item = instance.object

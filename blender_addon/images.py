@@ -17,15 +17,24 @@ def rgba(values: np.ndarray, alpha: np.ndarray | None = None) -> np.ndarray:
     return pixels
 
 
+# A property of our images: the name that they were asked for, which another image of the user's may have.
+_TAG = "penumbra"
+
+
+def _own(name: str) -> bpy.types.Image | None:
+    return next((image for image in bpy.data.images if image.get(_TAG) == name), None)
+
+
 def put(name: str, pixels: np.ndarray) -> bpy.types.Image:
-    """The float image of that name, with these pixels: (height, width, 4), bottom row first, linear."""
+    """Our float image of that name, with these pixels: (height, width, 4), bottom row first, linear."""
     height, width = pixels.shape[:2]
-    image = bpy.data.images.get(name)
+    image = _own(name)
     if image is not None and (image.source != "GENERATED" or not image.is_float):
         bpy.data.images.remove(image)
         image = None
     if image is None:
         image = bpy.data.images.new(name, width, height, alpha=True, float_buffer=True)
+        image[_TAG] = name
     if tuple(image.size) != (width, height):
         image.scale(width, height)
     image.pixels.foreach_set(np.ascontiguousarray(pixels, np.float32).reshape(-1))
@@ -34,11 +43,12 @@ def put(name: str, pixels: np.ndarray) -> bpy.types.Image:
 
 
 def put_png(name: str, png: bytes) -> bpy.types.Image:
-    """The image of that name, with a PNG's pixels, kept in the .blend."""
-    image = bpy.data.images.get(name)
+    """Our image of that name, with a PNG's pixels, kept in the .blend."""
+    image = _own(name)
     if image is not None:
         bpy.data.images.remove(image)
     image = bpy.data.images.new(name, 1, 1)
+    image[_TAG] = name
     image.pack(data=png, data_len=len(png))
     image.source = "FILE"
     return image

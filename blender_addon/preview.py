@@ -88,6 +88,10 @@ def harvest(
     return result
 
 
+# What modifiers have once for the viewport and once for renders.
+_LEVELS = (("levels", "render_levels"), ("steps", "render_steps"), ("viewport_resolution", "resolution"))
+
+
 def is_viewport_as_rendered(scene: bpy.types.Scene, view_layer: bpy.types.ViewLayer) -> bool:
     """Whether the viewport surely evaluates what a final render does; no wherever that takes more than a look."""
     context = bpy.context
@@ -120,7 +124,7 @@ def _is_object_as_rendered(item: bpy.types.Object, view_layer: bpy.types.ViewLay
     return all(
         modifier.show_viewport == modifier.show_render
         and modifier.type != "NODES"
-        and getattr(modifier, "levels", 0) == getattr(modifier, "render_levels", 0)
+        and all(getattr(modifier, shown, 0) == getattr(modifier, rendered, 0) for shown, rendered in _LEVELS)
         for modifier in item.modifiers
     )
 
@@ -169,9 +173,7 @@ class Preview:
             }
         else:
             pictures = {f"Penumbra {name}": images.rgba(result.visibility(name)) for name in result.light_names}
-        for name, pixels in pictures.items():
-            images.put(name, pixels)
-        self.images = list(pictures)
+        self.images = [images.put(name, pixels).name for name, pixels in pictures.items()]
         width, height = result.size
         record = result.record
         self.caption = [

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,10 @@ _DEFAULT_COLOR = (0.8, 0.8, 0.8)
 _MAGIC = {b"\x89PNG": "image/png", b"\xff\xd8\xff": "image/jpeg"}
 # Images that glTF can't have as they are go through numpy, with 16 bytes a texel.
 _MOST_TEXELS = 1 << 26
+# Colour spaces of stored values that are linear and of sRGB's primaries, as versions of Blender name them.
+_LINEAR_SPACES = {"Linear", "Linear Rec.709"}
+# Shaders whose colour is that of a Lambertian surface, or stands for it.
+_WITH_COLOR = {"BSDF_PRINCIPLED", "BSDF_DIFFUSE"}
 _WRAPS = {"REPEAT": "REPEAT", "EXTEND": "CLAMP_TO_EDGE", "MIRROR": "MIRRORED_REPEAT"}
 
 
@@ -24,12 +29,17 @@ class _NotSupported(ValueError):
 
 
 def _source(socket: Any) -> Any:
-    """The socket that feeds one, reroutes left out; none where nothing does."""
+    """The socket that feeds one, reroutes and muted nodes left out; none where nothing does."""
     while socket is not None and socket.is_linked and socket.links and not socket.links[0].is_muted:
         socket = socket.links[0].from_socket
-        if socket.node.type != "REROUTE":
+        if socket.node.mute:
+            # What it passes through.
+            inner = (link.from_socket for link in socket.node.internal_links if link.to_socket == socket)
+            socket = next(inner, None)
+        elif socket.node.type == "REROUTE":
+            socket = socket.node.inputs[0]
+        else:
             return socket
-        socket = socket.node.inputs[0]
     return None
 
 
@@ -49,6 +59,19 @@ def _surface(material: bpy.types.Material) -> tuple[Any, Any]:
         if first is not None and second is not None and first.type == "BSDF_TRANSPARENT":
             return second, shader.inputs[0]
     return shader, shader.inputs.get("Alpha") if shader is not None else None
+
+
+def _is_invisible(material: bpy.types.Material, shader: Any) -> bool:
+    """Whether light passes through its surface as if there were none: it is transparent, or bounds a volume alone."""
+    tree = material.node_tree
+    output = tree.get_output_node("CYCLES") or tree.get_output_node("ALL")
+    if shader is None:
+        return output is not None and _node(output.inputs["Volume"]) is not None
+    return (
+        shader.type == "BSDF_TRANSPARENT"
+        and _source(shader.inputs["Color"]) is None
+        and min(shader.inputs["Color"].default_value[:3]) > 0.5
+    )
 
 
 def _node(socket: Any) -> Any:
@@ -153,7 +176,7 @@ def _cutoff(socket: Any) -> tuple[Any, float]:
     if source is not None and source.node.type == "MATH" and source.node.operation in {"GREATER_THAN", "ROUND"}:
         math = source.node
         if math.operation == "GREATER_THAN":
-            if math.inputs[1].is_linked:
+            if _source(math.inputs[1]) is not None:
                 raise _NotSupported("the threshold of its alpha comes from nodes")
             cutoff = math.inputs[1].default_value
         source = _source(math.inputs[0])
@@ -180,20 +203,23 @@ class Reader:
         if not _has_nodes(material):
             return made
         shader, alpha = _surface(material)
-        inputs = shader.inputs if shader is not None else ()
+        if _is_invisible(material, shader):
+            made.cutoff, made.alpha = 0.5, 0.0
+            return made
+        inputs = shader.inputs if shader is not None and shader.type in _WITH_COLOR else ()
         color = next((s for s in inputs if s.name in {"Base Color", "Color"} and s.type == "RGBA"), None)
         if color is None:
             self._warn(material, "no base colour is found; its viewport colour is used")
-        elif not color.is_linked:
+        elif _source(color) is None:
             made.color = tuple(color.default_value)[:3]
         image_output = None
-        if color is not None and color.is_linked:
+        if color is not None and _source(color) is not None:
             try:
                 image_output = self._color_image(color)
             except _NotSupported as reason:
                 self._warn(material, f"{reason}; its viewport colour is used")
         alpha_output, cutoff = None, 0.5
-        if alpha is not None and alpha.is_linked:
+        if alpha is not None and _source(alpha) is not None:
             try:
                 alpha_output, cutoff = _cutoff(alpha)
             except _NotSupported as reason:
@@ -203,11 +229,13 @@ class Reader:
                 self._warn(material, "transparency is not supported; it is taken as opaque")
             else:
                 made.cutoff, made.alpha = 0.5, 0.0
+        plain = dataclasses.replace(made)
         try:
             self._add_texture(made, image_output, alpha_output, cutoff)
         except _NotSupported as reason:
             self._warn(material, f"{reason}; its texture is left out")
-            made = glb.Material(material.name, tuple(material.diffuse_color)[:3])
+            color = plain.color if image_output is None else tuple(material.diffuse_color)[:3]
+            made = dataclasses.replace(plain, color=color)
         return made
 
     def _warn(self, material: bpy.types.Material, message: str) -> None:
@@ -220,6 +248,10 @@ class Reader:
         if source is None or source.node.type != "TEX_IMAGE" or source.name != "Color":
             raise _NotSupported("its base colour comes from nodes")
         _check_image(source.node)
+        image = source.node.image
+        space = image.colorspace_settings
+        if not (image.is_float or space.is_data or space.name in {"sRGB", *_LINEAR_SPACES}):
+            raise _NotSupported(f"image {image.name!r} is in {space.name}; only sRGB and linear Rec.709 are read")
         return source
 
     def _add_texture(self, made: glb.Material, color: Any, alpha: Any, cutoff: float) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import subprocess
 import sys
 
@@ -210,12 +211,59 @@ def test_what_is_not_carried_over_is_told(scene, tmp_path, capfd):
     for message in (
         "'Odd': its base colour comes from nodes; its viewport colour is used",
         "'Odd': its alpha comes from nodes; it is taken as opaque",
-        "'Loose': its base colour comes from nodes; its viewport colour is used",
-        "'Loose': its alpha comes from nodes; it is taken as opaque",
         "'Glass': transparency is not supported; it is taken as opaque",
         "'Glass': its texture's extension clip is not supported; its viewport colour is used",
     ):
         assert message in told
+    # What feeds nothing is as if it were not there.
+    assert "'Loose'" not in told
+
+
+@pytest.mark.timeout(120)
+def test_muted_nodes_and_meshes_without_uv_map_look_as_in_cycles(scene, tmp_path):
+    colors = np.ones((2, 2, 4))
+    colors[..., :3] = [[[1, 0, 0], [0, 1, 0]], [[0, 0, 1], [1, 1, 0]]]
+    pixels = image("Corners", colors)
+    for name, left, muted, mapped in (("Muted", -2.0, True, True), ("Plain", 0.0, False, False)):
+        made, shader = material(name)
+        node = textured(made, pixels)
+        node.mute = muted
+        shader.inputs["Base Color"].default_value = (0.2, 0.4, 0.6, 1.0)
+        made.node_tree.links.new(node.outputs["Color"], shader.inputs["Base Color"])
+        item = card(scene, left=left, right=left + 1.5)
+        item.data.materials.append(made)
+        if not mapped:
+            while item.data.uv_layers:
+                item.data.uv_layers.remove(item.data.uv_layers[0])
+    ours = rendered(scene, tmp_path, "shaded")
+    assert "shaded.R" in ours
+    path = tmp_path / "scene.glb"
+    document = json.loads(path.read_bytes()[20 : 20 + int.from_bytes(path.read_bytes()[12:16], "little")])
+    by_name = {made["name"]: made["pbrMetallicRoughness"] for made in document["materials"]}
+    assert "baseColorTexture" not in by_name["Muted"]
+    assert by_name["Muted"]["baseColorFactor"][:3] == pytest.approx([0.2, 0.4, 0.6])
+    # The corner of the image where u and v are 0: red.
+    assert "baseColorTexture" in by_name["Plain"]
+
+
+def test_surfaces_that_light_passes_cast_no_shadow(scene, tmp_path):
+    cube = scene.objects["Cube"]
+    lit = []
+    for kind in ("none", "transparent", "volume"):
+        made, shader = material(kind)
+        tree = made.node_tree
+        output = next(node for node in tree.nodes if node.type == "OUTPUT_MATERIAL")
+        if kind != "none":
+            tree.nodes.remove(shader)
+            other = tree.nodes.new("ShaderNodeBsdfTransparent" if kind == "transparent" else "ShaderNodeVolumePrincipled")
+            tree.links.new(other.outputs[0], output.inputs["Surface" if kind == "transparent" else "Volume"])
+        cube.data.materials.clear()
+        cube.data.materials.append(made)
+        layers = rendered(scene, tmp_path, "visibility")
+        name = next(name for name in layers if name.endswith(".visibility"))
+        lit.append(float((layers[name] < 0.5).sum()))
+    assert lit[0] > 0.0
+    assert lit[1:] == [0.0, 0.0]
 
 
 @pytest.mark.timeout(120)
@@ -229,3 +277,42 @@ def test_a_comparison_with_cycles_takes_cut_outs_as_whole(scene):
     assert lines[-1] == "Cut-outs are taken as whole, in both"
     # The cube's shadow is in Cycles' picture, and in ours.
     assert float(lines[0].split("RMSE ")[1].split(",")[0]) < 0.25
+
+
+def test_uv_maps_of_geometry_nodes_are_read(scene):
+    mesh = scene.objects["Cube"].data
+    mesh.attributes.new("places", "FLOAT_VECTOR", "POINT").data.foreach_set(
+        "vector", [vertex for v in mesh.vertices for vertex in v.co]
+    )
+    made, shader = material("Placed")
+    node = textured(made, image("Colors", random_colors()))
+    uv_map = made.node_tree.nodes.new("ShaderNodeUVMap")
+    uv_map.uv_map = "places"
+    made.node_tree.links.new(uv_map.outputs[0], node.inputs["Vector"])
+    made.node_tree.links.new(node.outputs["Color"], shader.inputs["Base Color"])
+    mesh.materials.clear()
+    mesh.materials.append(made)
+    preview = sys.modules[f"{MODULE}.preview"]
+    found = preview.harvest(scene, bpy.context.view_layer, None, (64, 48)).scene
+    uvs = next(mesh.uvs["places"] for mesh in found.meshes if "places" in mesh.uvs)
+    places = np.array([vertex.co for vertex in scene.objects["Cube"].data.vertices])
+    assert set(uvs[:, 0]) == set(places[:, 0])
+    # v is turned over.
+    assert set(uvs[:, 1]) == set(1.0 - places[:, 1])
+
+
+@pytest.mark.parametrize("space", ["Rec.1886", "Display P3"])
+def test_color_spaces_that_are_not_read_are_told(scene, space):
+    names = {
+        item.name for item in bpy.types.Image.bl_rna.properties["colorspace_settings"].fixed_type.properties["name"].enum_items
+    }
+    if space not in names:
+        pytest.skip(f"this Blender has no colour space {space}")
+    made, shader = material("Other")
+    node = textured(made, image("Wide", random_colors(), color_space=space))
+    made.node_tree.links.new(node.outputs["Color"], shader.inputs["Base Color"])
+    scene.objects["Cube"].data.materials.clear()
+    scene.objects["Cube"].data.materials.append(made)
+    assert bpy.ops.penumbra.preview() == {"FINISHED"}
+    told = " ".join(sys.modules[f"{MODULE}.preview"].Preview.current.caption)
+    assert f"image 'Wide' is in {space}" in told

@@ -270,3 +270,53 @@ def test_only_one_preview_runs(scene):
     assert bpy.ops.penumbra.preview() == {"FINISHED"}
     first.job.join(5)
     assert first.job.is_cancelled
+
+
+def extracted(scene):
+    """What a preview would send."""
+    preview = sys.modules[f"{MODULE}.preview"]
+    return preview.harvest(scene, bpy.context.view_layer, None, (64, 48)).scene
+
+
+def test_curves_come_once_and_edited_meshes_as_they_are(scene):
+    before = len(extracted(scene).copies)
+    text = bpy.data.curves.new("Text", "FONT")
+    text.body = "soft"
+    scene.collection.objects.link(bpy.data.objects.new("Text", text))
+    after = extracted(scene)
+    assert [copy.name for copy in after.copies].count("Text") == 1
+    assert len(after.copies) == before + 1
+    cube = scene.objects["Cube"]
+    bpy.context.view_layer.objects.active = cube
+    assert bpy.ops.object.mode_set(mode="EDIT") == {"FINISHED"}
+    try:
+        edited = extracted(scene)
+    finally:
+        bpy.ops.object.mode_set(mode="OBJECT")
+    assert len(edited.copies) == before + 1
+
+
+def test_what_a_scale_of_0_flattens_is_shown_flat(scene):
+    cube = scene.objects["Cube"]
+    cube.scale = (1.0, 1.0, 0.0)
+    bpy.context.view_layer.update()
+    found = extracted(scene)
+    copy = next(copy for copy in found.copies if copy.name == "Cube")
+    assert np.array_equal(copy.world_from_mesh, np.eye(4))
+    heights = found.meshes[copy.mesh].positions[:, 2]
+    assert np.ptp(heights) < 1e-6
+    assert bpy.ops.penumbra.preview() == {"FINISHED"}
+
+
+def test_images_of_the_users_with_our_names_are_left_alone(scene):
+    own = bpy.data.images.new("Penumbra Key", 3, 2)
+    own.use_fake_user = True
+    light = next(item for item in scene.objects if item.type == "LIGHT")
+    light.name = "Key"
+    for _ in range(2):
+        assert bpy.ops.penumbra.preview() == {"FINISHED"}
+    assert bpy.data.images["Penumbra Key"] == own
+    assert tuple(own.size) == (3, 2)
+    assert [image.get("penumbra") for image in bpy.data.images].count("Penumbra Key") == 1
+    shown = sys.modules[f"{MODULE}.preview"].Preview.current.images[0]
+    assert bpy.data.images[shown] != own
