@@ -236,7 +236,7 @@ class _Viewport:
             self.started = None
             self._stop()
             if self.changed_at == 0.0 or time.monotonic() - self.changed_at >= _REST_SECONDS:
-                self.scene = extract.extract(depsgraph, _region_camera(context))
+                self.scene = extract.extract(depsgraph, _region_camera(context), context.space_data)
             self.changed_at = time.monotonic()
         view = _view_key(context)
         if self.scene is not None and self.started != view:

@@ -201,7 +201,8 @@ class _Extraction:
         self.mesh_of: dict[tuple, int | None] = {}
         self.material_of: dict[int, int] = {}
         self.materials = textures.Reader(self.scene.warnings)
-        self.shadowless: set[str] = set()
+        # By copy, whether it casts shadows.
+        self.casts_shadow: list[bool] = []
         self.light_objects: list[bpy.types.Object] = []
 
     def material(self, material: bpy.types.Material | None) -> int:
@@ -253,8 +254,6 @@ class _Extraction:
         index = self.mesh(item)
         if index is None:
             return
-        if not item.visible_shadow:
-            self.shadowless.add(owner.name)
         if not item.visible_camera or item.is_holdout:
             self.warn_once(f"object {owner.name!r} is hidden from the camera or a holdout, which is not supported: it is shown")
         matrix = np.array(instance.matrix_world, dtype=float)
@@ -262,6 +261,7 @@ class _Extraction:
         if min(lengths) == 0.0 or abs(np.linalg.det(matrix[:3, :3] / lengths)) <= _LEAST_VOLUME:
             index, matrix = self.flattened(index, matrix), np.eye(4)
         self.scene.copies.append(glb.Copy(owner.name, index, matrix))
+        self.casts_shadow.append(item.visible_shadow)
 
     def flattened(self, index: int, matrix: np.ndarray) -> int:
         """A mesh of its own where a transform leaves no volume: what is flat then is shown so, as Cycles does."""
@@ -284,6 +284,27 @@ class _Extraction:
         self.scene.lights.append(glb.Light(self.unique_light_name(item.original.name), block, glb.rigid(matrix)))
         self.light_objects.append(item.original)
 
+    def add_linking(self) -> None:
+        """Adds to lights which copies they do not light, and which do not block them: an instancer's copies that cast no shadow
+        have another name than those that do.
+        """
+        casting = {copy.name for copy, casts in zip(self.scene.copies, self.casts_shadow) if casts}
+        names: dict[str, set[str]] = {}
+        shadowless = set()
+        for copy, casts in zip(self.scene.copies, self.casts_shadow):
+            owner = copy.name
+            if not casts:
+                copy.name += " (no shadow)" if owner in casting else ""
+                shadowless.add(copy.name)
+            names.setdefault(owner, set()).add(copy.name)
+        for light, light_object in zip(self.scene.lights, self.light_objects):
+            block: dict[str, list[str]] = {}
+            lights.add_linking(block, light_object, set(names), set())
+            for key, others in (("light_exclude", set()), ("shadow_exclude", shadowless)):
+                left_out = others.union(*(names[owner] for owner in block.get(key, ())))
+                if left_out:
+                    light.block[key] = sorted(left_out)
+
     def unique_light_name(self, name: str) -> str:
         """A light that instances repeat is a light of its own: `#2` and so on, as the binary names them."""
         name = name.encode()[:_MAX_LIGHT_NAME_BYTES].decode(errors="ignore")
@@ -292,16 +313,18 @@ class _Extraction:
         return name if name not in taken else next(candidate for candidate in candidates if candidate not in taken)
 
 
-def extract(depsgraph: bpy.types.Depsgraph, camera: glb.Camera) -> glb.Scene:
-    """All that a depsgraph shows, seen from `camera`."""
+def extract(depsgraph: bpy.types.Depsgraph, camera: glb.Camera, space: bpy.types.SpaceView3D | None = None) -> glb.Scene:
+    """All that a depsgraph shows, seen from `camera`. `space`: of a 3D view, whose local view hides surfaces, but no light: there is
+    no other light here.
+    """
     extraction = _Extraction(depsgraph)
     for instance in depsgraph.object_instances:
-        extraction.add(instance)
+        item = instance.object
+        if space is None or item.type == "LIGHT" or item.visible_in_viewport_get(space):
+            extraction.add(instance)
     scene = extraction.scene
     scene.cameras.append(camera)
-    names = {copy.name for copy in scene.copies}
-    for light, light_object in zip(scene.lights, extraction.light_objects):
-        lights.add_linking(light.block, light_object, names, extraction.shadowless)
+    extraction.add_linking()
     if not scene.copies:
         raise ExtractError("nothing to render: the scene shows no surface")
     if not scene.lights:

@@ -218,6 +218,9 @@ class Reader:
                 image_output = self._color_image(color)
             except _NotSupported as reason:
                 self._warn(material, f"{reason}; its viewport colour is used")
+        own_alpha = shader.inputs.get("Alpha") if shader is not None else None
+        if own_alpha not in {None, alpha} and (_source(own_alpha) is not None or own_alpha.default_value < 1.0):
+            self._warn(material, "it is mixed with a Transparent BSDF; its own alpha is left out")
         alpha_output, cutoff = None, 0.5
         if alpha is not None and _source(alpha) is not None:
             try:

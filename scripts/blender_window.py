@@ -219,18 +219,25 @@ def steps() -> Iterator[float]:
     view.spaces.active.shading.type = "RENDERED"
     finished = []
     take = engine._Viewport._take
-    engine._Viewport._take = lambda self, result: (take(self, result), finished.append(result.size))
+    engine._Viewport._take = lambda self, result: (take(self, result), finished.append(len(self.scene.copies)))
     yield from until(lambda: finished)
     yield 1.0
     shot("viewport")
-    # The view moves, then a light: each time a new image comes when it rests.
-    for change in ("view", "light"):
+    # The view moves, then a light, then one object alone is shown: each time a new image comes when it rests.
+    for change in ("view", "light", "local view"):
         count = len(finished)
         if change == "view":
             view.spaces.active.region_3d.view_distance *= 0.8
-        else:
+        elif change == "light":
             bpy.data.objects["Key"].location.x -= 1.0
+        else:
+            for item in scene.objects:
+                item.select_set(item.name == "Plane")
+            call(bpy.ops.view3d.localview, "VIEW_3D", frame_selected=False)
         yield from until(lambda count=count: len(finished) > count)
+        yield 1.0
+    assert finished[0] > 1 and finished[-1] == 1, f"objects in the rendered views: {finished}"
+    call(bpy.ops.view3d.localview, "VIEW_3D", frame_selected=False)
     print("window: rendered views:", len(finished), flush=True)
 
     # A preview of what the view itself shows, beside another engine.

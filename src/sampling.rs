@@ -100,6 +100,21 @@ pub fn on_domain(domain: Domain, square: DVec2) -> DVec2 {
     }
 }
 
+/// Point `index` in [0, 1)² of the sequence R2, multiples of the inverse of the plastic number and of its square (Roberts 2018, "The
+/// Unreasonable Effectiveness of Quasirandom Sequences"); `seed` shifts it.
+pub fn r2(index: u32, seed: u32) -> DVec2 {
+    let first = hash(seed);
+    let x = first.wrapping_add(index.wrapping_mul(3_242_174_889));
+    let y = hash(first).wrapping_add(index.wrapping_mul(2_447_445_413));
+    DVec2::new(unit(x), unit(y))
+}
+
+/// Point `index` in [0, 1)² of a sequence of independent ones; `seed` chooses another sequence.
+pub fn random(index: u32, seed: u32) -> DVec2 {
+    let first = hash(hash(seed) ^ hash(index));
+    DVec2::new(unit(first), unit(hash(first)))
+}
+
 /// Columns and rows whose product is `count`, as near to square as its factors allow, columns first (128 = 16 × 8).
 pub fn grid_of(count: u32) -> (u32, u32) {
     let mut rows = count.isqrt().max(1);
@@ -204,6 +219,27 @@ mod tests {
                     assert!(!std::mem::replace(&mut seen[cell], true), "cell {cell} of {columns}x{rows} twice");
                 }
             }
+        }
+    }
+
+    #[test]
+    fn sequences_fill_the_square_as_evenly_as_they_should() {
+        // The star discrepancy of a thousand points, on a grid of corners: some 1/n for R2, 1/√n for independent points.
+        let discrepancy = |point: &dyn Fn(u32) -> DVec2| {
+            let points: Vec<DVec2> = (0..1000).map(point).collect();
+            assert!(points.iter().all(|at| at.min_element() >= 0.0 && at.max_element() < 1.0));
+            let corners = (1..=40).flat_map(|x| (1..=40).map(move |y| DVec2::new(f64::from(x), f64::from(y)) / 40.0));
+            let off = |corner: DVec2| {
+                let inside = points.iter().filter(|at| at.x < corner.x && at.y < corner.y).count();
+                (inside as f64 / 1000.0 - corner.x * corner.y).abs()
+            };
+            corners.map(off).fold(0.0, f64::max)
+        };
+        for seed in 0..8 {
+            let even = discrepancy(&|index| r2(index, seed));
+            let independent = discrepancy(&|index| random(index, seed));
+            assert!(even < 0.008, "{seed}: {even}");
+            assert!(independent > 0.012 && independent < 0.08, "{seed}: {independent}");
         }
     }
 

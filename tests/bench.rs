@@ -226,8 +226,8 @@ fn the_report_holds_all_of_it_and_needs_nothing_else() {
     for settings in ["pattern=grid samples=4", "pattern=grid samples=16"] {
         assert!(html.matches(settings).count() >= 2, "{settings}");
     }
-    // Two pictures a configuration, one a group; two charts a group, with a marker for each configuration.
-    assert_eq!(html.matches("src=\"data:image/png;base64,").count(), 2 * 4 + 2);
+    // Three pictures a configuration, one a group; two charts a group, with a marker for each configuration.
+    assert_eq!(html.matches("src=\"data:image/png;base64,").count(), 3 * 4 + 2);
     assert_eq!(html.matches("<svg ").count(), 2 * 2);
     assert_eq!(html.matches("<title>").count(), 1 + 2 * 4);
     for text in ["RMSE of visibility, penumbra", "time of a whole frame, ms", env!("CARGO_PKG_VERSION")] {
@@ -650,8 +650,8 @@ fn an_experiment_is_a_section_with_what_the_paper_says() {
     }
     // Frame by frame and by samples: time, error and points of the light. Two a group: its hulls.
     assert_eq!(html.matches("<svg ").count(), 3 + 3 + 2 * 2);
-    // Of the sequence two frames each of two settings and the reference, with differences; of the image three and one.
-    assert_eq!(html.matches("src=\"data:image/png;base64,").count(), (2 * 2 * 2 + 2) + (3 * 2 + 1));
+    // Of the sequence two frames each of two settings, with differences and SSIM, and of the reference; of the image three and one.
+    assert_eq!(html.matches("src=\"data:image/png;base64,").count(), (2 * 2 * 3 + 2) + (3 * 3 + 1));
     assert!(!html.contains("NaN") && !html.contains("undefined"));
 }
 

@@ -16,6 +16,7 @@ use penumbra::gpu::pass::Frame;
 use penumbra::gpu::shader::{Pipeline, Source};
 use penumbra::gpu::shadow_map::CONSTANTS;
 use penumbra::progress::Progress;
+use penumbra::receivers::Receivers;
 use penumbra::reference::exact::Exact;
 use penumbra::render::{Request, render};
 use penumbra::scene::{Scene, Shape, procedural};
@@ -416,6 +417,36 @@ fn a_lit_plane_has_no_acne_and_a_closed_box_no_light() {
             let worst = image.visibility.iter().copied().fold(0.0, f32::max);
             assert!(worst == 0.0, "{settings} {:?}: {worst}", light.shape);
         }
+    }
+}
+
+#[test]
+fn what_is_above_a_lamp_in_a_room_is_not_searched() {
+    // A lamp below the ceiling that lights walls has maps that look to all sides: half of each holds what is behind the light's plane,
+    // which is nearer than the receivers and hides nothing.
+    let room = mesh(&cube([0.0, 2.0, 0.0], 2.0));
+    let board = mesh(&wall(-1.2, [2.2, 3.0], [-0.5, 0.4]));
+    let light = light_down(Shape::Rect { size: DVec2::new(0.8, 0.6) }, [0.0, 3.9, 0.0]);
+    let scene = scene(vec![room, board], vec![light]);
+    let on_walls = || {
+        let on = |x: f64| (0..120).map(move |i| DVec3::new(x, 0.2 + 0.03 * f64::from(i), 0.1)).collect::<Vec<_>>();
+        let [mut left, right] =
+            [(-2.0, DVec3::X), (2.0, -DVec3::X)].map(|(x, normal)| receivers(&scene, &on(x), normal));
+        left.pixels.extend(right.pixels);
+        Receivers { size: [240, 1], pixels: left.pixels }
+    };
+    let truth = &exact(&scene, &on_walls())[0];
+    for map_size in [256, 512] {
+        let technique = backprojection(&format!("map_size={map_size}"));
+        let image = draw_receivers(&scene, on_walls(), technique.as_ref()).swap_remove(0);
+        assert!(image.shadow_maps > 1, "one map");
+        // The board's outline and the horizon of the lamp: some texels a side, not the square of that.
+        let texels_each = image.texels / 240;
+        assert!(texels_each < 8 * map_size, "{map_size}: {texels_each} texels a receiver");
+        // What looks down has stairs of patches for the board, which overlap as the wall sees them: 0.022 and 0.027.
+        let squares = image.visibility.iter().zip(truth).map(|(v, truth)| (f64::from(*v) - truth.visibility).powi(2));
+        let rmse = (squares.sum::<f64>() / 240.0).sqrt();
+        assert!(rmse < 0.03, "{map_size}: {rmse}");
     }
 }
 

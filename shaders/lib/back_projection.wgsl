@@ -103,6 +103,11 @@ fn ray_at(face: Face, gaze: Gaze, seen: OnFace, at: vec2<f32>, stored: f32) -> R
     return Ray(across, scale, z * (gaze.ahead + turn) > 0.0);
 }
 
+/// Whether what the view holds between two places, the first one's coordinates below the other's, is behind the light's plane.
+fn is_behind_light(gaze: Gaze, seen: OnFace, low: vec2<f32>, high: vec2<f32>) -> bool {
+    return gaze.ahead + dot(gaze.turn, select(low, high, gaze.turn > vec2(0.0)) - seen.at) <= 0.0;
+}
+
 /// A rectangle of the light's plane, in half sides of the light.
 struct Rectangle {
     low: vec2<f32>,

@@ -189,16 +189,19 @@ fn patch_at(face: Face, layer: u32, gaze: Gaze, seen: OnFace, cursor: Cursor) ->
 
 /// What a node hides of the light, below 0 where that can't be told without those below it.
 fn judge(face: Face, layer: u32, gaze: Gaze, seen: OnFace, cursor: Cursor, within: Texels, last: vec2<i32>) -> Patch {
-    let node = node_at(layer, cursor);
     let first = cursor.place << vec2(cursor.level);
+    let low = texel_edge(face, first);
+    let high = texel_edge(face, last + 1);
+    if (is_behind_light(gaze, seen, low, high)) {
+        return Patch(0.0, 0u);
+    }
+    let node = node_at(layer, cursor);
     let threshold = threshold_of(face, seen, within);
     let found = decide(node, first, within, within, threshold, threshold.rounding);
     if (found == UNBLOCKED) {
         return Patch(0.0, 0u);
     }
     let depths = depths_of(node, first, within);
-    let low = texel_edge(face, first);
-    let high = texel_edge(face, last + 1);
     let nearest = shadow_of(face, gaze, seen, low, high, depths.y);
     let farthest = shadow_of(face, gaze, seen, low, high, depths.x);
     if (nearest.is_behind) {

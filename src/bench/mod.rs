@@ -80,9 +80,14 @@ impl Places<'_> {
         write_png(&picture_path(self.directory, key), at_most(picture.into()))
     }
 
-    fn write_difference(&self, key: &str, image: &Image, reference: &Image) -> Result<()> {
-        let picture = metrics::heatmap(image, reference, &image.light_names()[0], Map::Difference)?;
-        write_png(&difference_path(self.directory, key), at_most(picture.into()))
+    fn write_errors(&self, key: &str, image: &Image, reference: &Image) -> Result<()> {
+        let light = &image.light_names()[0];
+        for (path, map) in
+            [(difference_path(self.directory, key), Map::Difference), (ssim_path(self.directory, key), Map::Ssim)]
+        {
+            write_png(&path, at_most(metrics::heatmap(image, reference, light, map)?.into()))?;
+        }
+        Ok(())
     }
 }
 
@@ -94,6 +99,11 @@ fn picture_path(directory: &Path, key: &str) -> PathBuf {
 /// The picture of how a configuration differs from its reference.
 fn difference_path(directory: &Path, key: &str) -> PathBuf {
     directory.join("pictures").join(format!("{key}.difference.png"))
+}
+
+/// The picture of a configuration's structural similarity to its reference.
+fn ssim_path(directory: &Path, key: &str) -> PathBuf {
+    directory.join("pictures").join(format!("{key}.ssim.png"))
 }
 
 /// What a frame's pictures are found by.
@@ -247,7 +257,7 @@ fn measure(
         Truth::Still(subject) => {
             let (measured, image) = subject.measure(technique.as_ref(), plan.timing, progress)?;
             places.write_visibility(key, &image)?;
-            places.write_difference(key, &image, &subject.reference)?;
+            places.write_errors(key, &image, &subject.reference)?;
             measured
         }
         Truth::Moving(subject) => {
@@ -255,7 +265,7 @@ fn measure(
             for shown in shown {
                 let key = frame_key(key, shown.frame);
                 places.write_visibility(&key, &shown.image)?;
-                places.write_difference(&key, &shown.image, &shown.reference)?;
+                places.write_errors(&key, &shown.image, &shown.reference)?;
             }
             measured
         }

@@ -14,7 +14,7 @@ use super::analysis::{EQUAL_TIME, LEAST_ERROR, Point, Spread, error_at, hull, ti
 use super::chart::{COLORS, Chart, Labels, Mark, Scale, Series, short};
 use super::results::{FrameRecord, Measured, Outcome, Record, Results, SequenceRecord, Times};
 use super::suite::{Experiment, Group, Plan, Sweep, label};
-use super::{difference_path, frame_key, picture_path};
+use super::{difference_path, frame_key, picture_path, ssim_path};
 use crate::metrics::{self, SMALL_ERRORS, Since};
 use crate::output::write_atomically;
 use crate::techniques::BEST;
@@ -249,12 +249,13 @@ struct Row {
     parts: Vec<Part>,
 }
 
-/// A picture of visibility, and of how far off it is.
+/// A picture of visibility, and of how far off and how unlike it is.
 #[derive(Debug, Serialize)]
 struct Picture {
     caption: String,
     visibility: Option<String>,
     difference: Option<String>,
+    ssim: Option<String>,
 }
 
 /// A part of a frame's time.
@@ -596,6 +597,7 @@ fn references(found: &Found, directory: &Path) -> Vec<Picture> {
         caption,
         visibility: data_uri(&picture_path(directory, key)),
         difference: None,
+        ssim: None,
     };
     let key = &found.group.key;
     match found.group.frames {
@@ -613,6 +615,7 @@ fn pictures(record: &Record, measured: &Measured, number: usize, shown: &[u32], 
         caption,
         visibility: data_uri(&picture_path(directory, key)),
         difference: data_uri(&difference_path(directory, key)),
+        ssim: data_uri(&ssim_path(directory, key)),
     };
     let name = format!("{number}: {}", describe(record));
     let Some(sequence) = &measured.sequence else {

@@ -49,7 +49,7 @@ use crate::gpu::shadow_map::{self, Keep, MapPoint, RenderedMaps, ShadowMaps};
 use crate::gpu_struct;
 use crate::history::{Pose, Shot};
 use crate::receivers::Receiver;
-use crate::sampling::{Pattern, Sampler, grid_of};
+use crate::sampling::{self, Pattern, Sampler, grid_of};
 use crate::scene::light::{Domain, Emitter};
 use crate::scene::{AreaLight, Bounds, Camera};
 
@@ -64,12 +64,12 @@ pub const ENTRY: Entry = Entry {
         (
             "paper",
             "points=halton start_weight=1 start_taps=16 error=binomial kernel=disk blockers=all reprojection=printed \
-             moving=reset history=fp16 aging=false",
+             moving=reset history=fp16 overscan=0.05 aging=false",
         ),
         (
             "paper-unfiltered",
             "points=halton start_weight=1 start_taps=16 error=binomial kernel=disk blockers=all reprojection=printed \
-             moving=reset history=fp16 aging=false threshold=1",
+             moving=reset history=fp16 overscan=0.05 aging=false threshold=1",
         ),
     ],
     demo: &["frames=1", "frames=16", "frames=64"],
@@ -135,6 +135,10 @@ pub enum Points {
     Halton,
     /// Owen-scrambled Sobol'.
     Sobol,
+    /// Multiples of the powers of the plastic number (Roberts 2018).
+    R2,
+    /// Independent of each other.
+    Random,
 }
 
 /// Estimates of the standard error of n samples of which a share is in shadow.
@@ -417,13 +421,17 @@ impl Maps<'_> {
 impl Built {
     /// The points of this frame, or of all frames of a still image.
     fn points(&self, emitter: &Emitter, first: u32, is_one: bool) -> Vec<MapPoint> {
-        let pattern = match self.parameters.points {
-            Points::Halton => Pattern::Halton,
-            Points::Sobol => Pattern::Sobol,
+        let seed = self.parameters.seed;
+        let of = |pattern: Pattern, index: u32| Sampler::new(pattern, u32::MAX, 0, seed).unit_square(index);
+        let square = |index: u32| match self.parameters.points {
+            Points::Halton => of(Pattern::Halton, index),
+            Points::Sobol => of(Pattern::Sobol, index),
+            Points::R2 => sampling::r2(index, seed),
+            Points::Random => sampling::random(index, seed),
         };
-        let sampler = Sampler::new(pattern, u32::MAX, 0, self.parameters.seed);
+        let on_light = |index: u32| emitter.at(sampling::on_domain(emitter.domain, square(index)));
         let count = if is_one || emitter.domain == Domain::Point { 1 } else { self.parameters.frames };
-        let place = |index: u32| MapPoint { position: emitter.at(sampler.on_emitter(index, emitter)), weight: 1.0 };
+        let place = |index: u32| MapPoint { position: on_light(index), weight: 1.0 };
         // The sequence ends before u32 does.
         (0..count).map(|i| place((first + i) % (u32::MAX - 1))).collect()
     }

@@ -206,6 +206,15 @@ def test_what_is_not_carried_over_is_told(scene, tmp_path, capfd):
     muted.is_muted = True
     item = card(scene, left=-1.0, right=0.0)
     item.data.materials.append(loose)
+    mixed, mixed_shader = material("Mixed")
+    mixed_shader.inputs["Alpha"].default_value = 0.5
+    nodes = mixed.node_tree.nodes
+    mix, output = nodes.new("ShaderNodeMixShader"), next(node for node in nodes if node.type == "OUTPUT_MATERIAL")
+    mix.inputs[0].default_value = 1.0
+    mixed.node_tree.links.new(nodes.new("ShaderNodeBsdfTransparent").outputs[0], mix.inputs[1])
+    mixed.node_tree.links.new(mixed_shader.outputs[0], mix.inputs[2])
+    mixed.node_tree.links.new(mix.outputs[0], output.inputs["Surface"])
+    card(scene, left=0.0, right=1.0).data.materials.append(mixed)
     assert bpy.ops.penumbra.preview() == {"FINISHED"}
     told = " ".join(sys.modules[f"{MODULE}.preview"].Preview.current.caption)
     for message in (
@@ -213,6 +222,7 @@ def test_what_is_not_carried_over_is_told(scene, tmp_path, capfd):
         "'Odd': its alpha comes from nodes; it is taken as opaque",
         "'Glass': transparency is not supported; it is taken as opaque",
         "'Glass': its texture's extension clip is not supported; its viewport colour is used",
+        "'Mixed': it is mixed with a Transparent BSDF; its own alpha is left out",
     ):
         assert message in told
     # What feeds nothing is as if it were not there.

@@ -296,6 +296,27 @@ def test_curves_come_once_and_edited_meshes_as_they_are(scene):
     assert len(edited.copies) == before + 1
 
 
+def test_of_an_instancer_s_copies_those_without_shadow_cast_none(scene):
+    inner = bpy.data.collections.new("Inner")
+    for name, casts in (("Caster", True), ("Ghost", False)):
+        item = bpy.data.objects.new(name, scene.objects["Cube"].data)
+        item.visible_shadow = casts
+        inner.objects.link(item)
+    for name in ("First", "Second"):
+        empty = bpy.data.objects.new(name, None)
+        empty.instance_type, empty.instance_collection = "COLLECTION", inner
+        scene.collection.objects.link(empty)
+    receivers = bpy.data.collections.new("receivers")
+    receivers.objects.link(scene.objects["First"])
+    receivers.collection_objects[0].light_linking.link_state = "EXCLUDE"
+    scene.objects["Key"].light_linking.receiver_collection = receivers
+    found = extracted(scene)
+    ghosts = ["First (no shadow)", "Second (no shadow)"]
+    assert sorted(copy.name for copy in found.copies) == ["Cube", "First", ghosts[0], "Floor", "Second", ghosts[1]]
+    assert found.lights[0].block["shadow_exclude"] == ghosts
+    assert found.lights[0].block["light_exclude"] == ["First", ghosts[0]]
+
+
 def test_what_a_scale_of_0_flattens_is_shown_flat(scene):
     cube = scene.objects["Cube"]
     cube.scale = (1.0, 1.0, 0.0)
