@@ -29,7 +29,7 @@ const STATED: [(&str, [u32; 4]); 14] = [
     ("pcf", [65, 400, 150, 200]),
     ("min-max-pcf", [65, 400, 150, 200]),
     ("pcss", [131, 390, 10, 60]),
-    ("min-max-backprojection", [80, 370, 5, 60]),
+    ("min-max-backprojection", [80, 385, 5, 60]),
     ("bitmask", [65, 150, 10, 65]),
     ("soft-shadow-map", [340, 335, 3, 30]),
     ("shadow-volumes", [1, 402, 1, 5]),

@@ -579,6 +579,30 @@ fn receivers_behind_a_flat_light_are_not_faced_and_get_nothing() {
 }
 
 #[test]
+fn what_a_horizon_leaves_of_the_light_is_known_to_those_that_smooth() {
+    // The sides of a box that nothing else shadows: points of the light would tell by steps of a ninth, or of a quarter.
+    let scene = build("contact?light=4&height=3").expect("builds").scene;
+    let request = Request { size: [64, 48], irradiance: false, shaded: None, antialiasing: 1, verify: None };
+    let seen = |technique: &dyn Technique| {
+        render(&scene, &scene.cameras[0], technique, &request, &Progress::default()).expect("renders")
+    };
+    let truth = seen(&penumbra::reference::exact::Exact);
+    for name in ["adaptive", "temporal", "cascaded"] {
+        let found = seen(technique(name, "").as_ref());
+        let mut compared = 0;
+        for (i, receiver) in truth.receivers.pixels.iter().enumerate() {
+            let expected = truth.lights[0].visibility[i];
+            if receiver.as_ref().is_some_and(|r| r.normal.y.abs() < 0.5) && expected > 0.06 && expected < 1.0 {
+                compared += 1;
+                let v = found.lights[0].visibility[i];
+                assert!((v - expected).abs() < 1e-5, "{name} {i}: {v} for {expected}");
+            }
+        }
+        assert!(compared > 100, "{compared} receivers");
+    }
+}
+
+#[test]
 fn the_horizon_limits_what_is_seen() {
     // Nothing blocks: V is the share of the light above the tangent plane. Turned by 90° that is half; a little more or less of a
     // light of half side ½ at 2 m is above by sin(turn) · 2 / cos(turn) of its width.

@@ -149,24 +149,58 @@ fn a_box_that_shows_the_whole_light_its_top_alone_is_exact() {
     }
 }
 
+/// Receivers that lean away from a light 4 m up until it is all but gone, its centre as far over their horizons.
+fn leaning(scene: &Scene, centre_over: std::ops::Range<f64>) -> Receivers {
+    let mut places = Receivers { size: [0, 1], pixels: Vec::new() };
+    for i in 0..40 {
+        let angle = 0.9 + 0.8 * f64::from(i) / 40.0;
+        for axis in [DVec3::new(1.0, 0.0, 0.3), DVec3::new(-0.7, 0.0, 1.0)] {
+            let normal = (angle.cos() * DVec3::Y + angle.sin() * axis.normalize()).normalize();
+            let is_taken = |p: &DVec3| centre_over.contains(&normal.dot(DVec3::new(0.0, 4.0, 0.0) - *p));
+            let positions: Vec<DVec3> = line(-1.0, 1.0, 20).into_iter().filter(is_taken).collect();
+            places.pixels.extend(receivers(scene, &positions, normal).pixels);
+        }
+    }
+    places.size[0] = places.pixels.len() as u32;
+    places
+}
+
+fn exact_at(scene: &Scene, places: &Receivers) -> Vec<f64> {
+    exact(scene, places)[0].iter().map(|answer| answer.visibility).collect()
+}
+
+#[test]
+fn where_the_horizon_hides_the_centre_points_over_it_tell() {
+    let caster = mesh(&quad([0.2, 0.8], 3.0, [-0.3, 0.9]));
+    for shape in [Shape::Rect { size: DVec2::new(3.0, 2.0) }, Shape::Disk { size: DVec2::new(3.0, 2.0) }] {
+        let light = || vec![light_down(shape, [0.0, 4.0, 0.0])];
+        let scene = scene(vec![caster.clone()], light());
+        let places = leaning(&scene, -2.0..-0.01);
+        let truth = exact_at(&scene, &places);
+        let bare = common::scene(vec![mesh(&quad([0.2, 0.8], -9.0, [-0.3, 0.9]))], light());
+        let alone = exact_at(&bare, &leaning(&bare, -2.0..-0.01));
+        let found = draw_receivers(&scene, places, volumes("points=256").as_ref()).swap_remove(0).visibility;
+        let [mut whole, mut part] = [0; 2];
+        for ((&v, &truth), &alone) in found.iter().zip(&truth).zip(&alone) {
+            if (truth - alone).abs() < 1e-9 {
+                whole += usize::from(truth > 0.0);
+                assert!((f64::from(v) - truth).abs() < 1e-5, "{shape:?}: {v} for {truth}");
+            } else {
+                part += 1;
+                assert!((f64::from(v) - truth).abs() < 0.02, "{shape:?}: {v} for {truth} of {alone}");
+            }
+        }
+        assert!(whole > 20 && part > 50, "{whole} {part}");
+    }
+}
+
 #[test]
 fn a_horizon_across_the_light_cuts_it_and_what_is_hidden_of_it() {
-    // Receivers that lean away from the light until it is all but gone.
     let caster = mesh(&quad([-0.5, 0.5], 2.0, [-0.3, 0.9]));
     for shape in [Shape::Rect { size: DVec2::new(3.0, 2.0) }, Shape::Disk { size: DVec2::new(3.0, 2.0) }] {
         let scene = scene(vec![caster.clone()], vec![light_down(shape, [0.0, 4.0, 0.0])]);
-        let mut places = Receivers { size: [0, 1], pixels: Vec::new() };
-        for i in 0..40 {
-            let angle = 0.9 + 0.6 * f64::from(i) / 40.0;
-            for axis in [DVec3::new(1.0, 0.0, 0.3), DVec3::new(-0.7, 0.0, 1.0)] {
-                let normal = (angle.cos() * DVec3::Y + angle.sin() * axis.normalize()).normalize();
-                let centre_is_over = |p: &DVec3| normal.dot(DVec3::new(0.0, 4.0, 0.0) - *p) > 0.1;
-                let positions: Vec<DVec3> = line(-1.0, 1.0, 20).into_iter().filter(centre_is_over).collect();
-                places.pixels.extend(receivers(&scene, &positions, normal).pixels);
-            }
-        }
-        places.size[0] = places.pixels.len() as u32;
-        let truth: Vec<f64> = exact(&scene, &places)[0].iter().map(|answer| answer.visibility).collect();
+        let places = leaning(&scene, 0.1..9.0);
+        let truth = exact_at(&scene, &places);
         let cut = truth.iter().filter(|v| (0.05..0.95).contains(*v)).count();
         assert!(cut > 500, "{cut}");
         for preset in PRESETS {

@@ -33,7 +33,7 @@
 @group(0) @binding(22) var<storage, read> inherited: array<u32>;
 /// Those to compare.
 @group(0) @binding(23) var<storage, read> cells: array<CellPoints>;
-/// Of each receiver: V and E/E₀ smoothed.
+/// Of each receiver: V, as a part of the light above its horizon, and E/E₀ smoothed.
 @group(0) @binding(18) var<storage, read_write> smoothed: array<vec2<f32>>;
 
 /// What a dispatch works on. Twin of `Job` in `techniques/adaptive.rs`.
@@ -55,8 +55,8 @@ struct Job {
     normal: vec3<f32>,
     /// From a place's depth from the origin to that from the light.
     depth_offset: f32,
-    /// The weight of all points, and whether the light's axes u and v are divided.
-    counts: vec4<f32>,
+    /// Whether the light's axes u and v are divided.
+    divided: vec4<f32>,
 }
 
 /// Points of a cell to compare. Twin of `CellPoints` in `techniques/adaptive.rs`.
@@ -319,7 +319,7 @@ fn differ(a: f32, b: f32) -> bool {
     return abs(b - a) >= tolerance * (b + job.depth_offset);
 }
 
-/// Shows every receiver's V and E/E₀ to its neighbours.
+/// Shows every receiver's V, as a part of the light above its horizon, and E/E₀ to its neighbours.
 @compute @workgroup_size(64)
 fn show(@builtin(global_invocation_id) id: vec3<u32>) {
     if (id.x >= arrayLength(&receivers)) {
@@ -327,8 +327,10 @@ fn show(@builtin(global_invocation_id) id: vec3<u32>) {
     }
     let receiver = receivers[id.x];
     let sum = sums[id.x];
-    let share = select(select(sum.x / sum.z, sum.y / sum.w, sum.w > 0.0), 1.0, sum.x == sum.z);
-    shown[receiver.number] = vec4(min(sum.x / job.counts.x, 1.0), share, depth_of(receiver.position), bitcast<f32>(receiver.instance + 1u));
+    // A sliver over the horizon without a point: nothing leaks.
+    let seen = select(sum.x / sum.z, 0.0, sum.z == 0.0);
+    let share = select(select(seen, sum.y / sum.w, sum.w > 0.0), 1.0, sum.x == sum.z);
+    shown[receiver.number] = vec4(seen, share, depth_of(receiver.position), bitcast<f32>(receiver.instance + 1u));
     note_gap(tile_of(receiver.number), blockers[id.x]);
 }
 
@@ -344,7 +346,7 @@ fn smooth_out(@builtin(global_invocation_id) id: vec3<u32>) {
     let gap = gap_at(tile, blockers[id.x]);
     if (gap >= 0.0) {
         // An axis that is not divided is whole.
-        let cell = select(vec2(1.0), vec2(sides[tile]), job.counts.yz == vec2(1.0));
+        let cell = select(vec2(1.0), vec2(sides[tile]), job.divided.xy == vec2(1.0));
         // As in `cascaded.wgsl`: an edge hides the light row by row of points.
         smoothed[id.x] = smooth_over(receiver, gap, cell, 1.5 * sides[tile]);
     }

@@ -99,7 +99,7 @@ fn tally(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_inde
     }
 }
 
-/// Shows what members see of the light.
+/// Shows what members see of the light; with the filter, of what is above their horizons.
 @compute @workgroup_size(64)
 fn show(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index) lane: u32) {
     let tile = work_tiles[group.x / 4u];
@@ -112,7 +112,9 @@ fn show(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
     let sum = sums[id];
     // E = E₀ where nothing above the horizon is hidden; where all points miss what emits this way, as V is.
     let share = select(select(sum.x / sum.z, sum.y / sum.w, sum.w > 0.0), 1.0, sum.x == sum.z);
-    let seen = member.weight * vec2(min(sum.x / job.points, 1.0), share);
+    // A sliver over the horizon without a point: nothing leaks.
+    let above = select(sum.x / sum.z, 0.0, sum.z == 0.0);
+    let seen = member.weight * vec2(select(min(sum.x / job.points, 1.0), above, filters), share);
     let before = shown[receiver.number].xy;
     shown[receiver.number] = vec4(before + seen, depth_of(receiver.position), bitcast<f32>(receiver.instance + 1u));
     cells[member.receiver] += member.weight * job.cell;

@@ -3,7 +3,8 @@
 // As seen from a receiver, casters are replaced by the sheets of their surfaces that face the light's centre c. How many sheets w(q)
 // hide a point q of the light changes only at their outline: along the way from c to q by the sign of each edge that it crosses. So
 //     ∫ w = w(c) |light| − Σ ± |{q: the way from c to q crosses the edge}|,
-// where an edge takes part only as far as it is seen before the light: in the paper, by receivers in its wedge.
+// where an edge takes part only as far as it is seen before the light: in the paper, by receivers in its wedge. A receiver whose horizon
+// hides c counts from another point of the light instead, and on points of it alone.
 //
 // On the light, c is the origin and the light's half axes are the units.
 
@@ -205,13 +206,17 @@ struct Gaze {
     v: vec3<f32>,
     /// Height of the light over the receiver; 1 of a distant one.
     height: f32,
-    /// How far the way to the light's centre leads along u and v, over its height.
+    /// The point of the light from which sheets are counted: its centre, or one above the horizon where that is not.
+    start: vec2<f32>,
+    /// How far the way there leads along u and v, over its height.
     slope: vec2<f32>,
     /// What lies along it by no more than `rise` hides nothing.
     plane: vec3<f32>,
     rise: f32,
     /// (u, v) of the light is over the horizon where x + y u + z v > 0; 0 where all of it is taken to be.
     horizon: vec3<f32>,
+    /// Whether the light's centre is behind the horizon, and what hides the rest is told by points.
+    is_by_points: bool,
 }
 
 fn gaze_of(receiver: Receiver) -> Gaze {
@@ -238,24 +243,34 @@ fn gaze_of(receiver: Receiver) -> Gaze {
     let height = -dot(normal, to);
     let above = dot(receiver.normal, to);
     let tilt = vec2(dot(receiver.normal, unit_u), dot(receiver.normal, unit_v)) * half;
-    let is_cut = above > 0.0 && above < select(abs(tilt.x) + abs(tilt.y), length(tilt), emitter.domain == 1u);
+    let is_round = emitter.domain == 1u;
+    let reach = select(abs(tilt.x) + abs(tilt.y), length(tilt), is_round);
+    let is_cut = abs(above) < reach;
+    let is_by_points = is_cut && above <= 0.0 && point_count > 0u;
+    var start = vec2(0.0);
+    if (is_by_points) {
+        // Half way from the horizon to the light's highest point.
+        start = 0.5 * (1.0 - above / reach) * select(sign(tilt), tilt / reach, is_round);
+    }
     return Gaze(
         receiver.position,
         normal,
         u,
         v,
         height,
-        vec2(dot(u, to), dot(v, to)) / height,
-        // Of a light whose centre is behind the horizon, what is before the receiver hides it.
-        select(normalize(to), receiver.normal, above > 0.0),
+        start,
+        (vec2(dot(u, to), dot(v, to)) + start) / height,
+        // In the paper, what is before the receiver hides a light whose centre is behind the horizon.
+        select(normalize(to), receiver.normal, above > 0.0 || is_by_points),
         PLANE_ROUNDING,
-        select(vec3(0.0), vec3(above, tilt), is_cut),
+        select(vec3(0.0), vec3(above, tilt), is_cut && (above > 0.0 || is_by_points)),
+        is_by_points,
     );
 }
 
 /// A vertex as a receiver sees it.
 struct Seen {
-    /// Beside the way to the light's centre, at its own height.
+    /// Beside the way to where counting starts, at its own height.
     at: vec2<f32>,
     height: f32,
     /// How far it is over the plane of what hides nothing.
@@ -425,7 +440,7 @@ fn way_of(gaze: Gaze, a: Seen, b: Seen) -> Way {
     let end = select(a.at + t.y * (b.at - a.at), b.at, t.y == 1.0);
     let begin_height = max(select(a.height + t.x * (b.height - a.height), a.height, t.x == 0.0), least);
     let end_height = max(select(a.height + t.y * (b.height - a.height), b.height, t.y == 1.0), least);
-    let way = Way(begin * (gaze.height / begin_height), end * (gaze.height / end_height), false);
+    let way = Way(gaze.start + begin * (gaze.height / begin_height), gaze.start + end * (gaze.height / end_height), false);
     if (any(max(way.begin, way.end) <= vec2(-1.0)) || any(min(way.begin, way.end) >= vec2(1.0))) {
         return nothing;
     }
@@ -505,15 +520,17 @@ fn share_of(horizon: Way, way: Way, turn: f32) -> f32 {
     return share - select(share_beyond(below, 1.0), 0.0, below.is_empty);
 }
 
-/// Takes note of points that a way parts from the light's centre.
-fn count_points(way: Way, turn: f32, sheets_less: i32) {
+/// Takes note of points that a way parts from where counting starts.
+fn count_points(way: Way, start: vec2<f32>, turn: f32, sheets_less: i32) {
     let along = way.end - way.begin;
+    let begin = way.begin - start;
+    let end = way.end - start;
     for (var i = 0u; i < point_count / 4u; i++) {
-        let x = light_points[2u * i];
-        let y = light_points[2u * i + 1u];
-        let is_parted = (turn * (way.begin.x * y - way.begin.y * x) >= vec4(0.0))
-            & (turn * (way.end.x * y - way.end.y * x) < vec4(0.0))
-            & (turn * (along.x * (y - way.begin.y) - along.y * (x - way.begin.x)) < vec4(0.0));
+        let x = light_points[2u * i] - start.x;
+        let y = light_points[2u * i + 1u] - start.y;
+        let is_parted = (turn * (begin.x * y - begin.y * x) >= vec4(0.0))
+            & (turn * (end.x * y - end.y * x) < vec4(0.0))
+            & (turn * (along.x * (y - begin.y) - along.y * (x - begin.x)) < vec4(0.0));
         layers[i] -= select(vec4(0), vec4(sheets_less), is_parted);
     }
 }
@@ -542,9 +559,11 @@ fn cover(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_inde
         if (!way.is_empty) {
             let turn = turn_of(a.at, b.at);
             let times = bitcast<i32>(item.w) * i32(turn);
-            sum.share += f32(times) * share_of(horizon, way, turn);
+            if (!gaze.is_by_points) {
+                sum.share += f32(times) * share_of(horizon, way, turn);
+            }
             sum.edges += 1u;
-            count_points(way, turn, times);
+            count_points(way, gaze.start, turn, times);
         }
     }
     if (portion.is_last == 0u) {
@@ -561,6 +580,9 @@ fn cover(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_inde
 fn visible_share(gaze: Gaze, horizon: Way, sum: Sum) -> f32 {
     if (gaze.height <= 0.0) {
         return 0.0;
+    }
+    if (gaze.is_by_points) {
+        return visible_share_by_points(gaze, horizon, sum.layers);
     }
     let above = 1.0 - select(share_beyond(horizon, 1.0), 0.0, horizon.is_empty);
     var hidden = f32(sum.layers) * above - sum.share;
@@ -583,4 +605,21 @@ fn visible_share(gaze: Gaze, horizon: Way, sum: Sum) -> f32 {
         return above;
     }
     return select(above - hidden, 0.0, hidden >= above - lost);
+}
+
+/// V where the light's centre is behind the horizon: the part of the light that is not, times the share of the points there that nothing
+/// hides.
+fn visible_share_by_points(gaze: Gaze, horizon: Way, sheets_at_start: i32) -> f32 {
+    var over = vec4(0u);
+    var seen = vec4(0u);
+    for (var i = 0u; i < point_count / 4u; i++) {
+        let is_over = gaze.horizon.x + gaze.horizon.y * light_points[2u * i] + gaze.horizon.z * light_points[2u * i + 1u] > vec4(0.0);
+        let is_seen = layers[i] + sheets_at_start == vec4(0);
+        over += select(vec4(0u), vec4(1u), is_over);
+        seen += select(vec4(0u), vec4(1u), is_over & is_seen);
+    }
+    let count = f32(over.x + over.y + over.z + over.w);
+    // Of less than what a point stands for, where counting starts tells.
+    let share = select(f32(seen.x + seen.y + seen.z + seen.w) / count, select(0.0, 1.0, sheets_at_start == 0), count == 0.0);
+    return share * select(share_beyond(horizon, -1.0), 0.0, horizon.is_empty);
 }

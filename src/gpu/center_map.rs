@@ -136,8 +136,7 @@ fn render_over(
     let image = LightView::image(Some(&view), frame, light, |chunk, i, receiver| {
         let mut seen = f64::from(visibility[chunk][i]);
         if settings.filters {
-            let emitter = light.emitter(receiver.position).expect("the light faces this receiver");
-            seen = seen.min(fraction_above(&emitter, receiver));
+            seen = seen.min(fraction_above(light, receiver));
         }
         (seen, seen)
     });

@@ -424,8 +424,12 @@ pub fn most_receivers(gpu: &Gpu, bytes_a_receiver: u64) -> usize {
     by_memory.min(by_dispatch) as usize
 }
 
-/// The fraction of an emitter's area above a receiver's tangent plane; the emitter is relative to the receiver.
-pub fn fraction_above(emitter: &Emitter, receiver: &Receiver) -> f64 {
+/// The fraction of a light's area above the tangent plane of a receiver that it faces.
+///
+/// # Panics
+/// If it does not face it.
+pub fn fraction_above(light: &AreaLight, receiver: &Receiver) -> f64 {
+    let emitter = light.emitter(receiver.position).expect("the light faces the receiver");
     // n · (center + u half_u + v half_v) > 0, over the domain of u and v.
     let support = DVec2::new(receiver.normal.dot(emitter.half_u).abs(), receiver.normal.dot(emitter.half_v).abs());
     let height = receiver.normal.dot(emitter.center);

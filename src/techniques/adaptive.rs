@@ -32,13 +32,14 @@ use super::{
 };
 use crate::gpu::center_map::emitter_of;
 use crate::gpu::emission::Emission;
-use crate::gpu::light_view::{self, Chunk, GpuReceiver, LightView, TILE, WORKGROUP, around, seen_of};
+use crate::gpu::light_view::{self, Chunk, GpuReceiver, LightView, TILE, WORKGROUP, around, fraction_above, seen_of};
 use crate::gpu::pass::Compute;
 use crate::gpu::screen::{SAME_SURFACE, Screen};
 use crate::gpu::shader::Pipeline;
 use crate::gpu::shadow_map::{self, Keep, MapPoint, RenderedMaps, ShadowMaps, shown_areas};
 use crate::gpu::{self, Gpu};
 use crate::history::Shot;
+use crate::receivers::Receiver;
 use crate::sampling::on_domain;
 use crate::scene::light::{Domain, Emitter};
 use crate::scene::{AreaLight, Bounds, Shape};
@@ -105,7 +106,7 @@ pub struct Adaptive {
     /// How maps are read.
     pub evaluation: Evaluation,
     /// Whether the steps between points are smoothed out: V is averaged over neighbours on the screen, as far as a point's cell of the
-    /// light moves a shadow.
+    /// light moves a shadow, and what of the light is below a receiver's horizon is not told by points.
     pub filter: bool,
     /// Texels a side of the kernel by which maps are read.
     #[schemars(range(min = 1, max = 15))]
@@ -211,7 +212,7 @@ gpu_struct! {
         pub padding: u32,
         pub normal: Vec3,
         pub depth_offset: f32,
-        pub counts: Vec4,
+        pub divided: Vec4,
     }
 }
 
@@ -620,7 +621,7 @@ impl<'a> Work<'a> {
             padding: 0,
             normal: emitter.normal.as_vec3(),
             depth_offset: -from as f32,
-            counts: Vec4::ZERO,
+            divided: Vec4::ZERO,
         }
     }
 
@@ -1027,11 +1028,14 @@ impl<'a> Work<'a> {
             None => {
                 let read = |known: &Known| gpu.read_buffer(&known.sums);
                 let sums: Vec<Vec<[f32; 4]>> = self.known.iter().map(read).collect::<Result<_>>()?;
-                self.image(|chunk, i| seen_of(sums[chunk][i], whole))
+                self.image(|chunk, i, _| seen_of(sums[chunk][i], whole))
             }
             Some(shot) => {
-                let smoothed = self.smoothed(shot, whole, tree)?;
-                self.image(|chunk, i| smoothed[chunk][i].map(f64::from).into())
+                let smoothed = self.smoothed(shot, tree)?;
+                self.image(|chunk, i, receiver| {
+                    let [seen, share] = smoothed[chunk][i].map(f64::from);
+                    (seen * fraction_above(self.light, receiver), share)
+                })
             }
         };
         Ok(LightImage {
@@ -1046,12 +1050,12 @@ impl<'a> Work<'a> {
 
 impl Work<'_> {
     /// The light's image by V and E/E₀ of the receivers of chunks.
-    fn image(&self, answer: impl Fn(usize, usize) -> (f64, f64) + Sync) -> LightImage {
-        LightView::image(Some(self.view), self.frame, self.light, |chunk, i, _| answer(chunk, i))
+    fn image(&self, answer: impl Fn(usize, usize, &Receiver) -> (f64, f64) + Sync) -> LightImage {
+        LightView::image(Some(self.view), self.frame, self.light, answer)
     }
 
-    /// V and E/E₀ of each chunk's receivers, averaged over what a cell of the light moves shadows by.
-    fn smoothed(&mut self, shot: &Shot, whole: f64, tree: &Tree) -> Result<Vec<Vec<[f32; 2]>>> {
+    /// V, as a part of the light above their horizons, and E/E₀ of each chunk's receivers, averaged over what a cell of the light moves shadows by.
+    fn smoothed(&mut self, shot: &Shot, tree: &Tree) -> Result<Vec<Vec<[f32; 2]>>> {
         let gpu = self.view.gpu;
         let size = self.frame.receivers.size;
         let storage = wgpu::BufferUsages::STORAGE;
@@ -1071,8 +1075,8 @@ impl Work<'_> {
         let sides = gpu.buffer("sides", &sides, storage)?;
         let is_upright = is_upright(&self.view.emitter);
         let divided = [!tree.is_line() || !is_upright, !tree.is_line() || is_upright].map(|is| f32::from(u8::from(is)));
-        let counts = Vec4::new(whole as f32, divided[0], divided[1], 0.0);
-        let uniform = self.uniform(Job { counts, ..self.job(size) })?;
+        let divided = Vec4::new(divided[0], divided[1], 0.0, 0.0);
+        let uniform = self.uniform(Job { divided, ..self.job(size) })?;
         let answers = |known: &Known| gpu.empty_buffer("visibility", 8 * known.chunk.pixels.len() as u64, storage);
         let answers: Vec<wgpu::Buffer> = self.known.iter().map(answers).collect::<Result<_>>()?;
         let tile_gaps = gpu.empty_buffer("blockers by tile", 8 * u64::from(tiles), storage)?;

@@ -35,7 +35,7 @@ use super::{
 };
 use crate::gpu::center_map::emitter_of;
 use crate::gpu::emission::Emission;
-use crate::gpu::light_view::{self, Chunk, GpuReceiver, LightView, TILE, WORKGROUP, around, by_tile};
+use crate::gpu::light_view::{self, Chunk, GpuReceiver, LightView, TILE, WORKGROUP, around, by_tile, fraction_above};
 use crate::gpu::screen::{SAME_SURFACE, Screen};
 use crate::gpu::shader::Pipeline;
 use crate::gpu::shadow_map::{self, Keep, MapPoint, ShadowMaps};
@@ -89,7 +89,7 @@ pub struct Cascaded {
     #[schemars(range(min = 0, max = 1))]
     pub blend: f64,
     /// Whether the steps between points are smoothed out: V is averaged over neighbours on the screen, as far as a point's cell of the
-    /// light moves a shadow.
+    /// light moves a shadow, and what of the light is below a receiver's horizon is not told by points.
     pub filter: bool,
     /// Texels a side of the kernel by which maps are read, up to 15, for each split; the last number for those beyond.
     #[schemars(with = "String")]
@@ -716,8 +716,9 @@ impl<'a> Work<'a> {
         self.frame.progress.check()?;
         let answers: Vec<Vec<[f32; 2]>> =
             answers.iter().map(|answers| gpu.read_buffer(answers)).collect::<Result<_>>()?;
-        let image = LightView::image(Some(self.view), self.frame, self.light, |chunk, i, _| {
-            answers[chunk][i].map(f64::from).into()
+        let image = LightView::image(Some(self.view), self.frame, self.light, |chunk, i, receiver| {
+            let [seen, share] = answers[chunk][i].map(f64::from);
+            (if self.filters() { seen * fraction_above(self.light, receiver) } else { seen }, share)
         });
         Ok(LightImage {
             samples: self.splits.iter().map(|split| split.points.len() as u32).max().unwrap_or(0),

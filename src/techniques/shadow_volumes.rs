@@ -25,7 +25,9 @@
 //!   an outline.
 //! - Surfaces that are closed but for a hole, or whose triangles do not agree which side is the front, are open: what is between their
 //!   front and back is hidden twice.
-//! - Where the tangent plane of a receiver has the light's centre behind it, it is the plane that faces the light that hides nothing.
+//! - Where the tangent plane of a receiver has the light's centre behind it, the paper's choices let all that is before the receiver hide
+//!   it. With `points` sheets are counted from a point above the plane, and V is the share of the points there that nothing hides:
+//!   exact where nothing or all is hidden, else to the points' spacing.
 //! - Spheres and tubes are the disc or rectangle that they are for the middle of the receivers, turned to each.
 //! - A smooth mesh of many small triangles costs more than a map: a tile looks at all sheets before it, one by one.
 //! - Cut-outs have no edges: refused.
@@ -180,9 +182,8 @@ impl Technique for Built {
         let visibility: Vec<Vec<f32>> =
             view.chunks.iter().map(|chunk| work.visibility(chunk, &mut passes)).collect::<Result<_>>()?;
         let image = LightView::image(Some(&view), frame, light, |chunk, i, receiver| {
-            let emitter = light.emitter(receiver.position).expect("the light faces this receiver");
-            // A light whose centre is behind the horizon is not cut by it on the GPU.
-            let seen = f64::from(visibility[chunk][i]).min(fraction_above(&emitter, receiver));
+            // The paper's choices do not cut a light whose centre is behind the horizon.
+            let seen = f64::from(visibility[chunk][i]).min(fraction_above(light, receiver));
             (seen, seen)
         });
         frame.progress.advance(u64::from(frame.receivers.size[1]))?;
@@ -475,7 +476,10 @@ impl Work<'_> {
             let at = view.tile_numbers.binary_search(number).expect("tiles of receivers have bounds");
             let pad = DVec3::splat(ROUNDING * reach);
             let bounds = Bounds { min: view.tiles[at].min - pad, max: view.tiles[at].max + pad };
-            let shaft = if to_center { self.to_center(&bounds, &drawn) } else { view.shaft(self.light, &bounds) };
+            let starts_at_center =
+                to_center && !receivers.clone().any(|i| self.is_center_hidden(chunk.pixels[i as usize]));
+            let shaft =
+                if starts_at_center { self.to_center(&bounds, &drawn) } else { view.shaft(self.light, &bounds) };
             let plane = |(normal, offset): (DVec3, f64)| {
                 let unit = normal / normal.abs().max_element();
                 // The vertices', the centre's and the plane's own rounding.
@@ -486,6 +490,15 @@ impl Work<'_> {
             Bounded { receivers: receivers.clone(), planes: shaft.planes().map(plane).collect() }
         };
         chunk.tiles.par_iter().map(bounded).collect()
+    }
+
+    /// Whether the light's centre is behind the horizon of a pixel's receiver, or within rounding of it.
+    fn is_center_hidden(&self, pixel: u32) -> bool {
+        let receiver = self.frame.receivers.pixels[pixel as usize].as_ref().expect("only hits face the light");
+        let emitter = self.light.emitter(receiver.position).expect("the light faces this receiver");
+        // Heights on the GPU are products of three terms, of positions that are off by a few roundings.
+        let unit = if emitter.distant { 1.0 } else { self.view.space.unit };
+        self.built.parameters.points > 0 && receiver.normal.dot(emitter.center) <= 8.0 * ROUNDING * unit
     }
 
     /// What is around all ways from receivers to the light's centre, as far as anything is drawn.

@@ -212,9 +212,8 @@ impl Technique for Built {
         let image = LightView::image(Some(&view), frame, light, |chunk, i, receiver| {
             let is_receiver = receives.get(receiver.instance as usize) != Some(&false);
             let seen = visibility.get(chunk).filter(|_| is_receiver).map_or(1.0, |chunk| f64::from(chunk[i]));
-            let emitter = light.emitter(receiver.position).expect("the light faces this receiver");
             // The map knows nothing of the receiver's horizon.
-            let seen = seen.min(fraction_above(&emitter, receiver));
+            let seen = seen.min(fraction_above(light, receiver));
             (seen, seen)
         });
         frame.progress.advance(u64::from(frame.receivers.size[1]))?;

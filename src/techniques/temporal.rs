@@ -361,9 +361,8 @@ impl Technique for Built {
             history.keep(shot.pass, &light.name, memory);
         }
         let image = LightView::image(Some(&view), frame, light, |chunk, i, receiver| {
-            let emitter = light.emitter(receiver.position).expect("the light faces this receiver");
             let beside = beside.get(chunk).map_or(1.0, |beside| beside[i]);
-            let seen = f64::from(seen[chunk][i] * beside) * fraction_above(&emitter, receiver);
+            let seen = f64::from(seen[chunk][i] * beside) * fraction_above(light, receiver);
             (seen, seen)
         });
         frame.progress.advance(u64::from(frame.receivers.size[1]))?;
