@@ -170,6 +170,22 @@ fn exact_at(scene: &Scene, places: &Receivers) -> Vec<f64> {
 }
 
 #[test]
+fn a_point_lights_all_around() {
+    // From some places of the floor it is seen by more than a right angle from where the middle sees it.
+    let scene = scene(
+        vec![mesh(&quad([-0.2, 0.3], 0.7, [-0.4, 0.5])), mesh(&quad([-30.0, 30.0], 0.0, [-30.0, 30.0]))],
+        vec![light_down(Shape::Point, [0.1, 1.1, 0.0])],
+    );
+    let points = line(-25.0, 3.0, 400);
+    let truth = exact_visibility(&scene, &points);
+    assert!(truth.contains(&0.0) && truth.contains(&1.0));
+    for preset in PRESETS {
+        let found = drawn(&scene, &points, volumes(preset).as_ref());
+        assert!(found.iter().zip(&truth).all(|(v, truth)| f64::from(*v) == *truth), "{preset}: {found:?}");
+    }
+}
+
+#[test]
 fn where_the_horizon_hides_the_centre_points_over_it_tell() {
     let caster = mesh(&quad([0.2, 0.8], 3.0, [-0.3, 0.9]));
     for shape in [Shape::Rect { size: DVec2::new(3.0, 2.0) }, Shape::Disk { size: DVec2::new(3.0, 2.0) }] {

@@ -121,8 +121,8 @@ impl Technique for Built {
 /// How a light turns to its receivers, as `lib/back_projection.wgsl` has it.
 pub fn turns(shape: Shape) -> f64 {
     match shape {
-        Shape::Sphere { .. } => 1.0,
+        Shape::Sphere { .. } | Shape::Point => 1.0,
         Shape::Tube { .. } => 2.0,
-        Shape::Rect { .. } | Shape::Disk { .. } | Shape::Sun { .. } | Shape::Point => 0.0,
+        Shape::Rect { .. } | Shape::Disk { .. } | Shape::Sun { .. } => 0.0,
     }
 }
