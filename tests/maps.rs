@@ -579,6 +579,29 @@ fn receivers_behind_a_flat_light_are_not_faced_and_get_nothing() {
 }
 
 #[test]
+fn a_lamp_is_as_round_from_the_side_as_from_below() {
+    // Bars on both sides of a sphere, and receivers that see it from all sides: one disc, which faces their middle, would be thin to
+    // those far off (0.16 with any of these).
+    let bars: Vec<_> = (-4..4).flat_map(|i| wall(0.3 + i as f32, [0.2, 0.6], [-0.7, 0.6])).collect();
+    let lamp = light_down(Shape::Sphere { radius: 0.4, facing: false }, [0.0, 1.6, 0.0]);
+    let scene = scene(vec![mesh(&bars)], vec![lamp]);
+    let points: Vec<DVec3> = line(-4.5, 4.5, 600).into_iter().map(|p| p - 0.2 * DVec3::Z).collect();
+    let truth = exact_visibility(&scene, &points);
+    let penumbra = |(_, truth): &(&f32, &f64)| **truth > 0.0 && **truth < 1.0;
+    for (name, most) in MOST_OFF {
+        let found = drawn(&scene, &points, technique(name, "map_size=2048").as_ref());
+        let off = found.iter().zip(&truth).filter(penumbra).map(|(v, truth)| (f64::from(*v) - truth).powi(2));
+        let (sum, count) = off.fold((0.0, 0), |(sum, count), off| (sum + off, count + 1));
+        let rmse = (sum / f64::from(count)).sqrt();
+        assert!(rmse <= most, "{name}: {rmse}");
+    }
+}
+
+/// RMSE over penumbrae of [`a_lamp_is_as_round_from_the_side_as_from_below`], at most: what so many points leave.
+const MOST_OFF: [(&str, f64); 5] =
+    [("uniform", 0.025), ("adaptive", 0.025), ("temporal", 0.03), ("cascaded", 0.065), ("bilateral", 0.04)];
+
+#[test]
 fn what_a_horizon_leaves_of_the_light_is_known_to_those_that_smooth() {
     // The sides of a box that nothing else shadows: points of the light would tell by steps of a ninth, or of a quarter.
     let scene = build("contact?light=4&height=3").expect("builds").scene;

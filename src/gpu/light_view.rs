@@ -1,6 +1,7 @@
 //! A light and the receivers that it faces, as shadow maps see them: in one frame around the light, in `f32`.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::f64::consts::PI;
 use std::ops::Range;
 
 use glam::{DVec2, DVec3, Vec3};
@@ -14,8 +15,9 @@ use crate::geometry::irradiance;
 use crate::geometry::shaft::{Shaft, light_bounds};
 use crate::gpu_struct;
 use crate::receivers::Receiver;
+use crate::sampling::on_domain;
 use crate::scene::light::{Domain, Emitter};
-use crate::scene::{AreaLight, Bounds};
+use crate::scene::{AreaLight, Bounds, Shape};
 use crate::techniques::{Frame, LightImage, Linking};
 
 gpu_struct! {
@@ -132,6 +134,10 @@ pub fn by_tile(pixels: &[u32], width: u32) -> Vec<(u32, Range<u32>)> {
 fn tile_of(pixel: u32, width: u32) -> u32 {
     pixel / width / TILE * width.div_ceil(TILE) + pixel % width / TILE
 }
+
+/// Its products with the points of grids of 3 × 3 to 27 × 27 are spread well, as is what other receivers see of them: the best of
+/// thousands of random ones.
+const SPREAD: DVec2 = DVec2::new(66.335_632_42, 22.223_458_3);
 
 /// Receivers of one workgroup in a technique's shader.
 pub const WORKGROUP: u32 = 64;
@@ -328,6 +334,31 @@ impl<'a> LightView<'a> {
         let worked_on: BTreeSet<u32> =
             self.chunks.iter().flat_map(|chunk| &chunk.tiles).map(|(tile, _)| *tile).collect();
         self.tile_numbers.iter().copied().filter(|tile| !worked_on.contains(tile)).collect()
+    }
+
+    /// Where a point of the unit square is on the light, on the GPU's scale.
+    ///
+    /// What turns to each receiver is more than the surface that the middle of the receivers sees: points before and behind that, as
+    /// dense as 1/√(1 − r²) at r half widths from the middle, are spread over what any other receiver sees as evenly as over it.
+    pub fn point_on(&self, light: &AreaLight, square: DVec2) -> DVec3 {
+        let emitter = &self.emitter;
+        let uv = on_domain(emitter.domain, square);
+        let on_surface = emitter.at(uv);
+        let (half, radius, across) = match light.shape {
+            Shape::Sphere { radius, .. } => (emitter.half_u.length(), radius / self.space.unit, uv.length()),
+            Shape::Tube { radius, .. } => (radius / self.space.unit, radius / self.space.unit, uv.y.abs()),
+            Shape::Rect { .. } | Shape::Disk { .. } | Shape::Sun { .. } | Shape::Point => return on_surface,
+        };
+        if half <= 0.0 {
+            return on_surface;
+        }
+        // The disc of a silhouette is before the sphere's middle, and smaller; through that middle the same cone is as much larger.
+        let behind = (radius * radius - half * half).max(0.0).sqrt();
+        let larger = (radius / half).powi(2);
+        let beside = on_surface - emitter.center;
+        let spread = (0.5 + SPREAD.dot(square)).fract();
+        let before = larger * half * (1.0 - across * across).max(0.0).sqrt() * (PI * (spread - 0.5)).sin();
+        emitter.center + larger * beside + (before - behind) * emitter.normal
     }
 
     /// The hull of the light and a box, both on the GPU's scale.

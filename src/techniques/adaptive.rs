@@ -40,7 +40,6 @@ use crate::gpu::shadow_map::{self, Keep, MapPoint, RenderedMaps, ShadowMaps, sho
 use crate::gpu::{self, Gpu};
 use crate::history::Shot;
 use crate::receivers::Receiver;
-use crate::sampling::on_domain;
 use crate::scene::light::{Domain, Emitter};
 use crate::scene::{AreaLight, Bounds, Shape};
 use crate::{Error, Result, gpu_struct};
@@ -675,7 +674,7 @@ impl<'a> Work<'a> {
         if tree.is_line() && is_upright(emitter) {
             square = DVec2::new(square.y, square.x);
         }
-        MapPoint { position: emitter.at(on_domain(emitter.domain, square)), weight: 1.0 }
+        MapPoint { position: self.view.point_on(self.light, square), weight: 1.0 }
     }
 
     /// Renders the maps of new points and reads them, in the tiles alone that something may shadow; of those that a division has

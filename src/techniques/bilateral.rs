@@ -24,7 +24,6 @@ use crate::gpu::light_view::{Chunk, LightView, TILE, WORKGROUP};
 use crate::gpu::screen::{SAME_SURFACE, Screen};
 use crate::gpu::shadow_map::{self, MapPoint, RenderedMaps, ShadowMaps};
 use crate::gpu::{self, Gpu};
-use crate::sampling::on_domain;
 use crate::scene::AreaLight;
 use crate::scene::light::Domain;
 use crate::{Error, Result, gpu_struct};
@@ -118,8 +117,7 @@ impl Technique for Built {
         let Bilateral { points, placement, taps, map_size, .. } = self.parameters;
         let grid = Uniform { samples: points, placement, weights: Weights::Equal, ..Uniform::default() };
         let is_point = view.emitter.domain == Domain::Point;
-        let place =
-            |(square, _)| MapPoint { position: view.emitter.at(on_domain(view.emitter.domain, square)), weight: 1.0 };
+        let place = |(square, _)| MapPoint { position: view.point_on(light, square), weight: 1.0 };
         let points: Vec<MapPoint> =
             grid.points().into_iter().take(if is_point { 1 } else { usize::MAX }).map(place).collect();
         // There must be neighbours, and points that stand for some of the light.

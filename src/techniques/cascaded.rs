@@ -41,7 +41,6 @@ use crate::gpu::shader::Pipeline;
 use crate::gpu::shadow_map::{self, Keep, MapPoint, ShadowMaps};
 use crate::gpu::{self, Gpu};
 use crate::receivers::Receiver;
-use crate::sampling::on_domain;
 use crate::scene::light::Domain;
 use crate::scene::{AreaLight, Bounds};
 use crate::{Error, Result, gpu_struct};
@@ -478,7 +477,7 @@ impl<'a> Work<'a> {
         };
         boxes.par_extend(lit.into_par_iter().map(bounds_of).filter(|bounds| !bounds.is_empty()));
         let emitter = &self.view.emitter;
-        let place = |square| MapPoint { position: emitter.at(on_domain(emitter.domain, square)), weight: 1.0 };
+        let place = |square| MapPoint { position: self.view.point_on(self.light, square), weight: 1.0 };
         let mut points: Vec<MapPoint> = self.parameters.places(number).into_iter().map(place).collect();
         if emitter.domain == Domain::Point {
             points.truncate(1);

@@ -50,7 +50,7 @@ use crate::gpu_struct;
 use crate::history::{Pose, Shot};
 use crate::receivers::Receiver;
 use crate::sampling::{self, Pattern, Sampler, grid_of};
-use crate::scene::light::{Domain, Emitter};
+use crate::scene::light::Domain;
 use crate::scene::{AreaLight, Bounds, Camera};
 
 /// Registered as `temporal`.
@@ -338,7 +338,7 @@ impl Technique for Built {
         let stills = stills.map(|_| view.casters.only(|instance| !is_moving(instance)));
         let maps = Maps { view: &view, casters: stills.as_ref().unwrap_or(&view.casters), movers: movers.as_ref() };
 
-        let points = self.points(&view.emitter, first, history.is_some());
+        let points = self.points(&view, light, first, history.is_some());
         let mut done = Done::new(gpu)?;
         let threshold = if change.is_resampled { 1.0 } else { self.parameters.threshold };
         let (mut past, mut step) = (past, change);
@@ -419,7 +419,7 @@ impl Maps<'_> {
 
 impl Built {
     /// The points of this frame, or of all frames of a still image.
-    fn points(&self, emitter: &Emitter, first: u32, is_one: bool) -> Vec<MapPoint> {
+    fn points(&self, view: &LightView, light: &AreaLight, first: u32, is_one: bool) -> Vec<MapPoint> {
         let seed = self.parameters.seed;
         let of = |pattern: Pattern, index: u32| Sampler::new(pattern, u32::MAX, 0, seed).unit_square(index);
         let square = |index: u32| match self.parameters.points {
@@ -428,9 +428,8 @@ impl Built {
             Points::R2 => sampling::r2(index, seed),
             Points::Random => sampling::random(index, seed),
         };
-        let on_light = |index: u32| emitter.at(sampling::on_domain(emitter.domain, square(index)));
-        let count = if is_one || emitter.domain == Domain::Point { 1 } else { self.parameters.frames };
-        let place = |index: u32| MapPoint { position: on_light(index), weight: 1.0 };
+        let count = if is_one || view.emitter.domain == Domain::Point { 1 } else { self.parameters.frames };
+        let place = |index: u32| MapPoint { position: view.point_on(light, square(index)), weight: 1.0 };
         // The sequence ends before u32 does.
         (0..count).map(|i| place((first + i) % (u32::MAX - 1))).collect()
     }

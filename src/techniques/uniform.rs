@@ -17,7 +17,7 @@ use crate::gpu::emission::Emission;
 use crate::gpu::light_view::{LightView, WORKGROUP, seen_of};
 use crate::gpu::shadow_map::{self, MapPoint, RenderedMaps, ShadowMaps};
 use crate::gpu::{self, Gpu};
-use crate::sampling::{Pattern, Sampler, grid_of, on_domain};
+use crate::sampling::{Pattern, Sampler, grid_of};
 use crate::scene::AreaLight;
 use crate::scene::light::Domain;
 
@@ -137,9 +137,9 @@ impl Technique for Built {
             frame.progress.advance(u64::from(frame.receivers.size[1]))?;
             return Ok(LightView::image(None, frame, light, |_, _, _| (0.0, 0.0)));
         };
-        let place = |(square, weight): (DVec2, u32)| {
-            let uv = on_domain(view.emitter.domain, square);
-            MapPoint { position: view.emitter.at(uv), weight: f64::from(weight) }
+        let place = |(square, weight): (DVec2, u32)| MapPoint {
+            position: view.point_on(light, square),
+            weight: f64::from(weight),
         };
         let mut points: Vec<MapPoint> = self.parameters.points().into_iter().map(place).collect();
         if view.emitter.domain == Domain::Point {
