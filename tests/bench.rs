@@ -695,6 +695,17 @@ fn experiments_that_ask_for_the_same_share_it() {
     assert_eq!((records.len(), &records[4]["experiments"]), (5, &json!(["Samples", "Again"])));
     let html = fs::read_to_string(directory.path().join("out/report.html")).expect("a report");
     assert!(html.contains("Again</h2>") && html.matches("pattern=grid samples=64</td>").count() >= 2);
+
+    // One of them alone leaves it to the other too.
+    let mut command = command(directory.path(), "suite.toml");
+    assert!(command.args(["--only", "Again"]).status().expect("runs").success());
+    let records = &self::results(directory.path())["records"];
+    let shared = records
+        .as_array()
+        .expect("records")
+        .iter()
+        .filter(|record| record["experiments"].as_array().is_some_and(|e| e.len() == 2));
+    assert_eq!(shared.count(), 1);
 }
 
 #[test]

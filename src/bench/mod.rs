@@ -153,9 +153,11 @@ pub fn run(
             continue;
         }
         match results.find(&configuration.key).filter(|found| found.measured().is_some()).cloned() {
-            // Names may have changed.
-            Some(Record { outcome, date, .. }) => {
-                results.put(Record { date, ..record(outcome) });
+            // Names may have changed; of experiments that are left out this time nothing is known.
+            Some(Record { outcome, date, experiments, .. }) => {
+                let mut kept = Record { date, ..record(outcome) };
+                kept.experiments.extend(experiments.into_iter().filter(|title| !only.is_empty() && !plan.holds(title)));
+                results.put(kept);
                 summary.kept += 1;
             }
             None => to_do.push(configuration),

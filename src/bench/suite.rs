@@ -601,6 +601,11 @@ impl Plan {
         Ok(())
     }
 
+    /// Whether it has an experiment of this title.
+    pub fn holds(&self, title: &str) -> bool {
+        self.experiments.iter().any(|experiment| experiment.title == title)
+    }
+
     /// Tells each configuration all experiments that ask for it.
     fn name_experiments(&mut self) {
         let mut titles: BTreeMap<String, Vec<String>> = BTreeMap::new();

@@ -352,9 +352,10 @@ impl<'a> LightView<'a> {
         if half <= 0.0 {
             return on_surface;
         }
-        // The disc of a silhouette is before the sphere's middle, and smaller; through that middle the same cone is as much larger.
+        // The disc of a silhouette is before the sphere's middle, and smaller; through that middle the same cone is as much larger,
+        // without bounds for receivers at the sphere itself.
         let behind = (radius * radius - half * half).max(0.0).sqrt();
-        let larger = (radius / half).powi(2);
+        let larger = radius / half * (radius / half).min(1.5);
         let beside = on_surface - emitter.center;
         let spread = (0.5 + SPREAD.dot(square)).fract();
         let before = larger * half * (1.0 - across * across).max(0.0).sqrt() * (PI * (spread - 0.5)).sin();

@@ -15,6 +15,7 @@
 //!   at the same size of texels. Tiles that nothing can shadow are not looked up at all;
 //! - `filter` averages V over the neighbours that a point's cell of the light would move shadows by, as far as the blockers found tell:
 //!   steps between points become the ramps that they stand for, where a wider kernel of texels (Section 3.4.3) would blur contacts.
+//!   What of the light is below a receiver's horizon is known then; points tell of the rest.
 
 mod tree;
 
@@ -1053,7 +1054,8 @@ impl Work<'_> {
         LightView::image(Some(self.view), self.frame, self.light, answer)
     }
 
-    /// V, as a part of the light above their horizons, and E/E₀ of each chunk's receivers, averaged over what a cell of the light moves shadows by.
+    /// V, as a part of the light above their horizons, and E/E₀ of each chunk's receivers, averaged over what a cell of the light moves
+    /// shadows by.
     fn smoothed(&mut self, shot: &Shot, tree: &Tree) -> Result<Vec<Vec<[f32; 2]>>> {
         let gpu = self.view.gpu;
         let size = self.frame.receivers.size;
