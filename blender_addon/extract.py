@@ -314,8 +314,8 @@ class _Extraction:
 
 
 def extract(depsgraph: bpy.types.Depsgraph, camera: glb.Camera, space: bpy.types.SpaceView3D | None = None) -> glb.Scene:
-    """All that a depsgraph shows, seen from `camera`. `space`: of a 3D view, whose local view hides surfaces, but no light: there is
-    no other light here.
+    """All that a depsgraph shows, seen from `camera`. `space`: of a 3D view, whose local view hides surfaces, but no light:
+    there is no other light here.
     """
     extraction = _Extraction(depsgraph)
     for instance in depsgraph.object_instances:
