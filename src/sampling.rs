@@ -62,10 +62,7 @@ impl Sampler {
         debug_assert!(index < self.count);
         match self.pattern {
             Pattern::Grid => self.in_cell(index, DVec2::splat(0.5)),
-            Pattern::Jittered => {
-                let first = hash(self.seed ^ hash(index));
-                self.in_cell(index, DVec2::new(unit(first), unit(hash(first))))
-            }
+            Pattern::Jittered => self.in_cell(index, independent(self.seed, index)),
             Pattern::Halton => {
                 let shift = DVec2::new(unit(hash(self.seed)), unit(hash(self.seed ^ 0x9e37_79b9)));
                 let point = DVec2::new(unit((index + 1).reverse_bits()), radical_inverse_3(index + 1)) + shift;
@@ -111,7 +108,11 @@ pub fn r2(index: u32, seed: u32) -> DVec2 {
 
 /// Point `index` in [0, 1)² of a sequence of independent ones; `seed` chooses another sequence.
 pub fn random(index: u32, seed: u32) -> DVec2 {
-    let first = hash(hash(seed) ^ hash(index));
+    independent(hash(seed), index)
+}
+
+fn independent(hashed_seed: u32, index: u32) -> DVec2 {
+    let first = hash(hashed_seed ^ hash(index));
     DVec2::new(unit(first), unit(hash(first)))
 }
 

@@ -89,7 +89,7 @@ fn what_is_beyond_a_range_is_refused_and_the_parameter_named() {
 }
 
 #[test]
-#[ignore = "takes gigabytes and minutes"]
+#[ignore = "maps of gigabytes, a million frames: scripts/test --full"]
 fn ends_that_cost() {
     let scene = build("square").expect("builds").scene;
     for entry in ALL {

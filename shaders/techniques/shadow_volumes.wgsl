@@ -245,8 +245,9 @@ fn gaze_of(receiver: Receiver) -> Gaze {
     let tilt = vec2(dot(receiver.normal, unit_u), dot(receiver.normal, unit_v)) * half;
     let is_round = emitter.domain == 1u;
     let reach = select(abs(tilt.x) + abs(tilt.y), length(tilt), is_round);
-    let is_cut = abs(above) < reach;
-    let is_by_points = is_cut && above <= 0.0 && point_count > 0u;
+    // In the paper, a light whose centre is behind the horizon is not cut, and what is before the receiver hides it.
+    let is_cut = abs(above) < reach && (above > 0.0 || point_count > 0u);
+    let is_by_points = is_cut && above <= 0.0;
     var start = vec2(0.0);
     if (is_by_points) {
         // Half way from the horizon to the light's highest point.
@@ -260,10 +261,9 @@ fn gaze_of(receiver: Receiver) -> Gaze {
         height,
         start,
         (vec2(dot(u, to), dot(v, to)) + start) / height,
-        // In the paper, what is before the receiver hides a light whose centre is behind the horizon.
         select(normalize(to), receiver.normal, above > 0.0 || is_by_points),
         PLANE_ROUNDING,
-        select(vec3(0.0), vec3(above, tilt), is_cut && (above > 0.0 || is_by_points)),
+        select(vec3(0.0), vec3(above, tilt), is_cut),
         is_by_points,
     );
 }

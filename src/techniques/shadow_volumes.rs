@@ -476,8 +476,9 @@ impl Work<'_> {
             let at = view.tile_numbers.binary_search(number).expect("tiles of receivers have bounds");
             let pad = DVec3::splat(ROUNDING * reach);
             let bounds = Bounds { min: view.tiles[at].min - pad, max: view.tiles[at].max + pad };
+            let is_hidden = |i: u32| self.is_center_hidden(chunk.pixels[i as usize]);
             let starts_at_center =
-                to_center && !receivers.clone().any(|i| self.is_center_hidden(chunk.pixels[i as usize]));
+                to_center && (self.built.parameters.points == 0 || !receivers.clone().any(is_hidden));
             let shaft =
                 if starts_at_center { self.to_center(&bounds, &drawn) } else { view.shaft(self.light, &bounds) };
             let plane = |(normal, offset): (DVec3, f64)| {
@@ -498,7 +499,7 @@ impl Work<'_> {
         let emitter = self.light.emitter(receiver.position).expect("the light faces this receiver");
         // Heights on the GPU are products of three terms, of positions that are off by a few roundings.
         let unit = if emitter.distant { 1.0 } else { self.view.space.unit };
-        self.built.parameters.points > 0 && receiver.normal.dot(emitter.center) <= 8.0 * ROUNDING * unit
+        receiver.normal.dot(emitter.center) <= 8.0 * ROUNDING * unit
     }
 
     /// What is around all ways from receivers to the light's centre, as far as anything is drawn.

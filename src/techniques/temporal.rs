@@ -421,10 +421,11 @@ impl Built {
     /// The points of this frame, or of all frames of a still image.
     fn points(&self, view: &LightView, light: &AreaLight, first: u32, is_one: bool) -> Vec<MapPoint> {
         let seed = self.parameters.seed;
-        let of = |pattern: Pattern, index: u32| Sampler::new(pattern, u32::MAX, 0, seed).unit_square(index);
+        let of = |pattern: Pattern| Sampler::new(pattern, u32::MAX, 0, seed);
+        let (halton, sobol) = (of(Pattern::Halton), of(Pattern::Sobol));
         let square = |index: u32| match self.parameters.points {
-            Points::Halton => of(Pattern::Halton, index),
-            Points::Sobol => of(Pattern::Sobol, index),
+            Points::Halton => halton.unit_square(index),
+            Points::Sobol => sobol.unit_square(index),
             Points::R2 => sampling::r2(index, seed),
             Points::Random => sampling::random(index, seed),
         };
